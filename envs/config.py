@@ -21,6 +21,7 @@ from lanebound.envs.worlds.wander import WanderConfig
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import FILES, nearest
+from lanebound.integrity.navigators.context_guard import CONTEXT
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.campaign import FaultPriors
 
@@ -110,23 +111,23 @@ class EnvConfig(Config):
     @model_validator(mode="before")
     @classmethod
     def _navigator_is_observed(cls, data: Any) -> Any:
-        """The modes of the services of the navigator, and what a filter reports, have entries in the observation."""
+        """What services, context monitor and filter of the navigator report has entries in the observation."""
         if not isinstance(data, Mapping) or not isinstance(data.get("observation", {}), Mapping):
             return data
         try:
             navigator = NavigatorConfig.data_of(data.get("navigator", {}))
         except ConfigError:
             return data  # the field itself is refused, with its path
-        named = navigator.get("service", ()) if isinstance(navigator, Mapping) else ()
-        names = [named] if isinstance(named, str) else named
-        shown = [str(name) for name in names if name != "rtk"] if isinstance(names, list | tuple) else []
+        if not isinstance(navigator, Mapping):
+            return data
         observation = dict(data.get("observation", {}))
-        filters = isinstance(navigator, Mapping) and navigator.get("kind") == "filter"
-        if shown or observation.get("services"):
-            observation["services"] = tuple(shown)
-        if filters or observation.get("filters"):
-            observation["filters"] = filters
-        return {**data, "observation": observation} if observation else data
+        shown = {
+            "services": _services_in(navigator),
+            "context": _has_context(navigator),
+            "filters": navigator.get("kind") == "filter",
+        }
+        changed = {name: value for name, value in shown.items() if value or observation.get(name)}
+        return {**data, "observation": {**observation, **changed}} if changed else data
 
     @field_validator("sky")
     @classmethod
@@ -175,3 +176,19 @@ class EnvConfig(Config):
         """Alert limits along and across the track, for the narrowest lane: ``AL_CT = (w - W) / 2``."""
         geometric = max(0.5 * (lane_width_m - car_width_m), 0.05)
         return self.al_at_m, geometric if self.al_ct_m is None else self.al_ct_m
+
+
+def _services_in(navigator: Mapping[str, Any]) -> tuple[str, ...]:
+    """Services of a navigator's data whose modes are observed: all but RTK."""
+    named = navigator.get("service", ())
+    names = [named] if isinstance(named, str) else named
+    if not isinstance(names, list | tuple):
+        return ()
+    return tuple(str(name).rpartition(":")[2] for name in names if name != "rtk")
+
+
+def _has_context(navigator: Mapping[str, Any]) -> bool:
+    """Whether a navigator's data ask for a context monitor."""
+    monitor = navigator.get("monitor")
+    chosen = isinstance(monitor, Mapping) and monitor.get("kind") == CONTEXT
+    return chosen or navigator.get("context") is not None

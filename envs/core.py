@@ -107,6 +107,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt; see below |
     | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds half the limit |
     | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
+    | `cost_context` | 0 | dt while the context monitor warns and the car changes lane or exceeds half the limit |
 
     - `cost_headway` is computed with estimated values as in the table, and as `max(0, 1 - gap / d_RSS) dt` with the
       true gap and true speeds. The larger one counts.

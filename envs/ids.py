@@ -336,8 +336,9 @@ class Intersection(Preset):
     """
     ## Description
     Turn left at a crossing without traffic lights, from the south to the west, and give way to all others
-    (highway-env's `intersection-v2`): lanes of 4 m, a speed limit of 10 m/s, continuous traffic from all sides. The
-    alert limits are 1.5 m along and 1 m across the track.
+    (highway-env's `intersection-v2`): lanes of 4 m, a speed limit of 10 m/s, continuous traffic from all sides, about
+    1,000 vehicles an hour: the most that a crossing has before traffic lights are warranted (MUTCD 2009, warrant 1A:
+    500 an hour on the major road, 150 on a minor approach). The alert limits are 1.5 m along and 1 m across the track.
 
     Difficulty: the moment to enter depends on the positions of the other vehicles, which are those of their own
     receivers.
@@ -364,12 +365,13 @@ class Intersection(Preset):
 
     ## Episode End
     Terminated on arrival, 25 m beyond the crossing on the exit to the destination, without which there is no success.
-    Truncated after 40 s. A success requires 0.35 of the allowed speed (`success_share`): time to wait, and more than a
-    crawl.
+    Truncated after 40 s. A success requires 0.25 of the allowed speed (`success_share`): 10 s to wait, and more than a
+    crawl at a quarter of the limit.
 
     ## Arguments
-    `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (10
-    attempts), `spawn_probability` (0.6 at each decision), `duration` (40 s; highway-env has 13 s). Other drivers
+    `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (7
+    attempts; highway-env has 10), `spawn_probability` (0.14 at each decision, 1,000 an hour; highway-env has 0.6 at
+    1 Hz, 2,160 an hour, at which its drivers block each other), `duration` (40 s; highway-env has 13 s). Other drivers
     stop where highway-env's would reverse.
 
     ## Version History
@@ -382,8 +384,8 @@ class Intersection(Preset):
         **INSTANT,
         "action_options": {"target_speeds": [0, 2, 4, 6]},
         "observation": {"vehicles": 12},
-        "world": {"duration": 40},
-        "success_share": 0.35,
+        "world": {"duration": 40, "spawn_probability": 0.14, "initial_vehicle_count": 7},
+        "success_share": 0.25,
         "cost_limit": 8.0,
     }
 

@@ -58,6 +58,7 @@ class EgoBelief:
     alert, available : bool; alert_age_s : how long the alert has been on, 0 without
     hdop, satellites, satellites_doppler, excluded : as in Solution
     since_rtk_s, since_calibration_s, corrections_age_s : inf for never
+    context_warning, context_phases, context_score, link_probability : of the context monitor; 0 without one
     model_curved, nis_position, nis_wheels, trust_m : as in Solution
     """
 
@@ -96,6 +97,10 @@ class EgoBelief:
     nis_position: float
     nis_wheels: float
     trust_m: float
+    context_warning: bool = False
+    context_phases: int = 0
+    context_score: float = 0.0
+    link_probability: float = 0.0
 
     @classmethod
     def of(cls, beliefs: Records, row: int, table: LaneTable) -> EgoBelief:
@@ -103,7 +108,7 @@ class EgoBelief:
         values: dict[str, Any] = dict(zip(beliefs.dtype.names or (), beliefs[row].item(), strict=True))
         position = np.array([values.pop("x_m"), values.pop("y_m")])
         lane, target = table.index[values.pop("lane")], table.index[values.pop("target_lane")]
-        flags = {name: bool(values.pop(name)) for name in ("alert", "available")}
+        flags = {name: bool(values.pop(name)) for name in ("alert", "available", "context_warning")}
         del values["path"]
         return cls(position_m=position, lane_index=lane, target_lane_index=target, **flags, **values)
 

@@ -18,8 +18,11 @@ from lanebound.envs.batch.route_map import routes_of
 from lanebound.envs.batch.rules import rules_of
 from lanebound.envs.batch.skies import HOURS, Cities, Skies
 from lanebound.envs.config import EnvConfig
+from lanebound.envs.road_map import road_map_of
 from lanebound.envs.sky import SkyLevel, Street, build_street
 from lanebound.envs.worlds import world_kind
+from lanebound.integrity.core.config_errors import joined
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.risk import upper_quantile
 from lanebound.integrity.navigators.navigator import NavigatorConfig
@@ -70,7 +73,10 @@ def _navigator_config(text: str, level: str, limits_m: tuple[float, float]) -> N
             chassis={"wheelbase_m": Vehicle.LENGTH, "axle_m": 0.5 * Vehicle.LENGTH},
         )
     )
-    given = base.replace(**config.navigator)
+    try:
+        given = base.replace(**config.navigator)
+    except ConfigError as error:
+        raise ConfigError("\n".join(joined("navigator", (line,)) for line in str(error).splitlines())) from None
     limits = [max(limit - map_bound_m(config, given), 0.01) for limit in limits_m]
     spent = MAP_SHARE * given.risk.integrity_risk if config.navigation.map_sigma_m > 0.0 else 0.0
     return given.replace(
@@ -125,6 +131,7 @@ def _episodes(
         navigation = NavigationBatch(
             config.navigation, settings, skies, cities, cities.ahead(config.observation.satellites_m),
             routes.table.lanes, count, members, step_s, steps,
+            None if settings.context is None else road_map_of(world.road.network)[0],
         )  # fmt: skip
     perception = PerceptionBatch(config.perception, count, capacity, vehicles, step_s * steps)
     rules = rules_of(config, alert_limits_m(world, config), map_bound_m(config, settings) if uses_sensors else 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,9 +13,14 @@ from lanebound.agents.checkpointing.runner import Advance, ignore
 from lanebound.integrity.monitoring.family.budget import CodeBudget
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import solve_codes
+from lanebound.integrity.navigators.navigator import Navigator
+from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.replay.code_epochs import TrackedEpochs
+from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sky.road import Road
+from lanebound.integrity.sky.systems import WAVELENGTH_M
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
@@ -44,25 +50,36 @@ class _Sampled:
 
 
 def simulated_epochs(
-    config: StreetDrivesConfig, sky: str, number: int, every: int = 5, advance: Advance = ignore
+    config: StreetDrivesConfig,
+    sky: str,
+    number: int,
+    every: int = 5,
+    advance: Advance = ignore,
+    faults: Callable[[Navigator], FaultSchedule] | None = None,
 ) -> TrackedEpochs:
-    """The vehicles of a street at each ``every``-th epoch after the warm-up.
+    """The vehicles of a street at each ``every``-th epoch after the warm-up, with ``faults`` of their sky.
 
     The map of the street predicts blocked paths at the place of the road that is nearest to the code position.
     """
     wanted = config.replace(navigator={"gnss": {"undifferenced": True}})
     navigator, drive = street_of(wanted, sky, number)
+    if faults is not None:
+        navigator.faults = faults(navigator)
     dt, budget = navigator.config.dt_s, CodeBudget()
     first, epochs = (round(time_s / dt) for time_s in (wanted.warm_up_s, wanted.span_s))
     sampled, views, state = _Sampled(), [], _Between(navigator.batch, budget)
+    fixes = navigator.config.kind == "rtk_reckoning"  # which resolves integers
     for k, truth in zip(range(epochs), drive, strict=False):
         m = navigator.measure(truth)
+        solution = navigator.locate(m) if fixes else None
         state.add(m, dt)
         advance((k + 1) / epochs)
         if k < first or (k - first) % every:
             continue
         views.append(m.sky)
         sampled.add(time=np.full(navigator.batch, truth.time_s), truth=truth.position_enu_m, **state.sample(m))
+        if solution is not None:
+            sampled.add(**_fixed(navigator, m, solution))
     return _tracked(sampled, views, navigator.mask, road_of(wanted, number))
 
 
@@ -108,6 +125,24 @@ class _Between:
         return out
 
 
+def _fixed(navigator: Navigator, m: Measurements, solution: Solution) -> dict[str, NDArray[np.generic]]:
+    """Carriers less the integers that RTK holds, mean of the bands, their deviations for levels, where there is one,
+    and the probability that a held integer is wrong."""
+    g, rtk = m.gnss, navigator.config.positioning.rtk
+    held, integers = (navigator.state.belief.ambiguities[name] for name in ("held", "integers"))
+    bands = list(navigator.config.gnss.bands)
+    cycles = WAVELENGTH_M[m.sky.system][:, bands] * integers[..., : len(bands)]
+    phase = g.phase_m[..., : len(bands)]
+    kept = held & g.tracked & (phase != 0.0).all(-1)
+    sine, age = m.sky.los_enu[m.sky.index][..., 2], g.corrections_age_s[:, None]
+    factor = CodeErrorBudget(cn0_knee_dbhz=rtk.cn0_knee_dbhz).errors(sine, g.cn0_dbhz).factor
+    aged = rtk.age_sigma_mps * np.where(np.isfinite(age), age, 0.0)
+    return {
+        "fixed": np.where(kept, (phase - cycles).mean(-1), 0.0), "fixed_kept": kept & np.isfinite(age),
+        "fixed_sigma": np.hypot(rtk.sigma_phase_integrity_m * np.sqrt(factor), aged), "risk": solution.wrong_fix_risk,
+    }  # fmt: skip
+
+
 def _phase(m: Measurements) -> Array:
     assert m.gnss.raw_phase_m is not None  # asked for
     return m.gnss.raw_phase_m[..., BAND]
@@ -136,9 +171,19 @@ def _tracked(sampled: _Sampled, views: list[SkyView], mask: SkyMask, road: Road)
     change = np.where(kept, v["change"] + (turned @ before[..., None])[..., 0], 0.0)
     epochs = CodeEpochs(**{
         **vars(plain), "shadowed": shadowed, "step_enu_m": v["step"], "step_sigma_m": v["spread"],
-        "carrier_step_m": change, "carrier_kept": kept, "carrier_sigma_m": v["loose"],
+        "carrier_step_m": change, "carrier_kept": kept, "carrier_sigma_m": v["loose"], **_of_fixes(v),
     })  # fmt: skip
     return TrackedEpochs(epochs.checked(), np.asarray(v["truth"], dtype=np.float64), np.ones(drive.size, bool))
+
+
+def _of_fixes(v: dict[str, NDArray[np.generic]]) -> dict[str, NDArray[np.generic]]:
+    """The fields of fixed carriers, where the navigator resolves integers."""
+    if "fixed" not in v:
+        return {}
+    return {
+        "fixed_m": v["fixed"], "fixed_sigma_m": v["fixed_sigma"], "fixed_kept": np.asarray(v["fixed_kept"], dtype=bool),
+        "fix_risk": v["risk"],
+    }  # fmt: skip
 
 
 def _predicted(fix_en_m: Array, views: list[SkyView], mask: SkyMask, road: Road) -> Bools:

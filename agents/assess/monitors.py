@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lanebound.agents.assess.fit_errors import FitErrorsConfig, fit_errors
 from lanebound.agents.assess.in_the_loop import rate_by_street
+from lanebound.agents.assess.monitor_campaign import CampaignConfig, run_campaign
 from lanebound.agents.assess.monitored_drives import simulated_epochs
 from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.agents.checkpointing.files import write_json
@@ -26,7 +27,7 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
-from lanebound.integrity.monitoring.family.kinds import MonitorKind, applicable, monitor_named
+from lanebound.integrity.monitoring.family.kinds import FAMILY, MonitorKind, applicable, monitor_named
 from lanebound.integrity.monitoring.family.levels import predicted_level
 from lanebound.integrity.monitoring.family.monitor import watch
 from lanebound.integrity.replay.city_report import read_city
@@ -62,6 +63,7 @@ class MonitorsConfig(Config):
     errors: str | None = Field(None, description="preset or file of fit-errors, in place of a fit")
     fit: FitErrorsConfig = FitErrorsConfig()
     drives: StreetDrivesConfig = StreetDrivesConfig(vehicles=8, duration_s=60.0)
+    campaign: CampaignConfig = Field(CampaignConfig(), description="faults under each sky; cases=[all] for all of them")
 
     def kinds(self, tracked: TrackedEpochs, fitted: bool) -> list[MonitorKind]:
         """The kinds that are wanted and apply."""
@@ -90,6 +92,9 @@ def assess_monitors(
     fits = run_parts(out, _fit_names(config, folder), partial(fit_part, config, folder), jobs, on_progress)
     names = [f"{k}-{i}" for k in range(len(places)) for i in range(1 if folder is not None else config.streets)]
     parts = run_parts(out, names, partial(work_part, config, folder, fits), jobs, on_progress)
+    chosen = config.campaign.chosen if folder is None else []
+    tried = [f"campaign-{k}" for k in range(len(config.skies))] if chosen else []
+    campaigns = run_parts(out, tried, partial(campaign_part, config, fits), jobs, on_progress)
     result = {
         "config": claimed,
         "places": {
@@ -97,6 +102,7 @@ def assess_monitors(
             for k, place in enumerate(places)
         },
         "fits": fits,
+        "campaign": {config.skies[int(name.rpartition("-")[2])]: found for name, found in campaigns.items()},
     }
     write_json(out / "results.json", result)
     return result
@@ -143,6 +149,20 @@ def work_part(
         "predicted": {} if folder is not None else predicted_availability(tracked),
         "monitors": found,
     }
+
+
+def campaign_part(
+    config: MonitorsConfig, fits: Mapping[str, Any], name: str, advance: Advance = ignore
+) -> dict[str, Any]:
+    """The fault campaign under one sky."""
+    place = int(name.rpartition("-")[2])
+    fitted = FittedErrors.load(fits[f"fit-{place}"]["fitted"])
+    wanted = [monitor_named(kind).name for kind in config.monitors]
+    kinds = [kind for kind in FAMILY.values() if not wanted or kind.name in wanted]
+    return run_campaign(
+        config.campaign, config.drives, config.skies[place], kinds, fitted.changes(), config.risks[config.operative],
+        advance,
+    )  # fmt: skip
 
 
 def predicted_availability(tracked: TrackedEpochs) -> dict[str, float]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lanebound.agents.assess.monitor_campaign import campaign_rows
 from lanebound.agents.assess.monitors import MonitorsConfig, monitor_rows, predicted_rows
 from lanebound.agents.checkpointing.files import replace_file
 from lanebound.integrity.assessment.events import Zone, classify
@@ -33,6 +34,10 @@ NOTE = (
     "Levels and errors: median / 95 %. HMI: largest rate over the alert limits. An alarm is false if the position is "
     "within the largest alert limit. us: microseconds for an epoch on one core."
 )
+CAMPAIGN_NOTE = (
+    "Vehicles that notice the fault, and the median time to that; vehicles whose error exceeds the alert limit, and "
+    "the longest time in which it did so while the position was declared available."
+)
 
 
 def write_page(config: MonitorsConfig, result: Mapping[str, Any], out: Path) -> list[Path]:
@@ -54,6 +59,8 @@ def write_page(config: MonitorsConfig, result: Mapping[str, Any], out: Path) -> 
     heads, rows = predicted_rows(result)
     if rows:
         body.append(f"<h2>Predicted HPL within 50 m</h2><div>{_table(heads, rows)}</div>")
+    for place, tried in result.get("campaign", {}).items():
+        body.append(f"<h2>{escape(place)}: faults</h2><p>{CAMPAIGN_NOTE}</p><div>{_table(*campaign_rows(tried))}</div>")
     kinds = [(k.name, k.group, k.summary, k.source, ", ".join(k.needs), k.promise) for k in FAMILY.values()]
     table = _table(("monitor", "group", "does", "source", "needs", "promise"), kinds)
     body.append(f"<h2>The monitors</h2><div>{table}</div>")

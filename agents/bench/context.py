@@ -46,7 +46,8 @@ def _vehicles_per_second(kind: MatcherKind, rounds: int) -> float:
         truth = start + SPEED_MPS * k * unit, SPEED_MPS * unit
         observed = [_observe(los, value, sigma, rng) for value, sigma in zip(truth, (CODE_M, RATE_MPS), strict=True)]
         begun = time.perf_counter()
-        fix = CodeFix(*(_solve(los, y, sigma) for y, sigma in zip(observed, (CODE_M, RATE_MPS), strict=True)))
+        codes, speeds = (_solve(los, y, sigma) for y, sigma in zip(observed, (CODE_M, RATE_MPS), strict=True))
+        fix = CodeFix(codes, speeds)
         monitor.step(fix, np.full(VEHICLES, SPEED_MPS))
         if k:  # the first call prepares the cells of the map
             rates.append(VEHICLES / (time.perf_counter() - begun))

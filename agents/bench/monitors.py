@@ -17,8 +17,8 @@ __all__ = ["measure"]
 SATELLITES, SYSTEMS, EPOCHS = 30, 4, 4096
 GATE = 1e5  # epochs/s of snapshot monitors that have one solution and a closed level; issue 25
 GATED = ("residual", "weighted", "ibpl", "sbas")
-SHOWN = (*GATED, "residual_fde", "separation_root", "p_ransac", "igg3")
-FEWER = {"p_ransac": 64}
+SHOWN = (*GATED, "residual_fde", "separation_root", "araim", "p_ransac", "igg3")
+FEWER = {"p_ransac": 64, "araim": 256}
 
 
 def epochs_of_noise(epochs: int, seed: int = 1) -> CodeEpochs:

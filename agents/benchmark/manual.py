@@ -31,8 +31,18 @@ from lanebound.integrity.core.config import describe
 __all__ = ["SUITES", "markdown"]
 
 SUITES = (
-    "quick", "standard", "claim", "faults", "look_ahead", "learnt", "degenerate", "services", "monitors", "filters"
-)  # fmt: skip
+    "quick",
+    "standard",
+    "claim",
+    "faults",
+    "look_ahead",
+    "learnt",
+    "degenerate",
+    "services",
+    "monitors",
+    "context",
+    "filters",
+)
 
 ARROWS = {"higher": "↑", "lower": "↓", None: ""}
 

@@ -14,23 +14,50 @@ __all__ = ["app"]
 app = typer.Typer(cls=AdvisingGroup, no_args_is_help=True, help="List the presets, or show one with its units.")
 
 
-@app.command("list")
-def list_presets(as_json: AsJson = False) -> None:
-    """List the packaged presets and what each configures.
+FOLDERS = {
+    "drivers": "tuned margins of drivers",
+    "errors": "overbounds of code errors, for monitors",
+    "experiments": "training: lanebound train NAME",
+    "monitors": "rules of the context monitor",
+    "navigators": "instruments and filters: --set navigator=NAME",
+    "sensors": "single instruments, by extends in YAML",
+    "services": "positioning services: --set navigator=NAME",
+    "skies": "streets and buildings: --sky NAME",
+    "studies": "lanebound study NAME, lanebound reproduce urban-drive",
+    "suites": "lanebound benchmark NAME",
+}
+"""What the presets of each folder are for."""
 
-    Example: lanebound config list --json
+
+@app.command("list")
+def list_presets(
+    folder: Annotated[str | None, typer.Argument(metavar="FOLDER", help="Only these, with what each is.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the packaged presets by folder; those of one folder with what each configures.
+
+    Example: lanebound config list services
     """
     from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.integrity.core.presets import about_preset, load_preset, preset_names
+    from lanebound.integrity.core.errors import ConfigError
+    from lanebound.integrity.core.presets import about_preset, load_preset, nearest, preset_names
 
-    found = [
-        {"preset": name, "kind": load_preset(name).get("kind"), "about": about_preset(name)} for name in preset_names()
-    ]
+    names = {name: name.rpartition("/")[0] or "-" for name in preset_names()}
+    folders = list(dict.fromkeys(names.values()))
+    if folder is not None and folder not in folders:
+        raise ConfigError(f"folder '{folder}' is unknown: {nearest(folder, folders)}")
+    shown = [name for name, home in names.items() if folder in (None, home)]
     if as_json:
-        print_json(found)
+        print_json([
+            {"preset": name, "kind": load_preset(name).get("kind"), "about": about_preset(name)} for name in shown
+        ])  # fmt: skip
+    elif folder is None:
+        inside = {home: [name.rpartition("/")[2] for name in shown if names[name] == home] for home in folders}
+        rows = [(home, ", ".join(inside[home]), FOLDERS.get(home, "")) for home in folders]
+        print_table("Presets", ("folder", "presets", "used by"), rows)
+        typer.echo("'lanebound config list FOLDER' says what each is, 'lanebound config show PRESET' prints its keys.")
     else:
-        print_table("Presets", ("preset", "kind", "about"), (tuple(row.values()) for row in found))
-        typer.echo("'lanebound config show PRESET' prints the keys of one. Its folder may be left out of the name.")
+        print_table(f"Presets of {folder}", ("preset", "about"), [(name, about_preset(name)) for name in shown])
 
 
 @app.command("show")

@@ -68,12 +68,17 @@ def drive(
 
     Example: lanebound drive LaneKeeping --sky dense --faults stress --seed 1 --video out/drive.mp4 --out out/drive
     """
+    from lanebound.agents.cli.early import refuse_early
+
+    if not _plugins:
+        refuse_early(name, agent, sky, faults)
+    given = changes(assignments, sky=sky, faults=faults)
     from lanebound.agents.cli.progress import resumable, with_bar
 
     finished: list[int] = []
     seeds, film = range(seed, seed + episodes), (video, film_rate(video, fps))
     with resumable(lambda: _kept(len(finished), out, video)), failing(agent):
-        changed = _with_codes(changes(assignments, sky=sky, faults=faults), display)
+        changed = _with_context(given, display)
         drove = with_bar("episodes", lambda report: _drive(name, agent, changed, seeds, film, out, finished, report,
                                                            display))  # fmt: skip
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
@@ -81,11 +86,15 @@ def drive(
     _report(f"{agent} in {name}", *drove, files, as_json)
 
 
-def _with_codes(changed: dict[str, Any], display: bool) -> dict[str, Any]:
-    """The changes, with undifferenced codes for the display."""
+def _with_context(changed: dict[str, Any], display: bool) -> dict[str, Any]:
+    """The changes, with a context monitor for the display."""
     from lanebound.integrity.core.presets import deep_merge
+    from lanebound.integrity.navigators.navigator import NavigatorConfig
 
-    return deep_merge(changed, {"navigator": {"gnss": {"undifferenced": True}}}) if display else changed
+    if not display:
+        return changed
+    navigator = NavigatorConfig.data_of(changed.get("navigator", {}))
+    return {**changed, "navigator": deep_merge({"context": {}}, navigator)}
 
 
 @contextmanager
@@ -177,7 +186,7 @@ def _tell(shown: DriverDisplay, out: Path | None) -> None:
     if out is not None:
         shown.write(out / WARNINGS)
     lit = ", ".join(f"{light} {seconds:.0f} s" for light, seconds in shown.seconds.items())
-    typer.echo(f"display: {lit}; it changed {counted(len(shown.rows), 'time')}", err=True)
+    typer.echo(f"display: {lit}; it changed {counted(shown.changes, 'time')}", err=True)
 
 
 def _claim(out: Path) -> None:

@@ -37,6 +37,10 @@ def envs(
             raise InputError("--set needs an environment, got none: name one, as in 'lanebound envs LaneKeeping'")
         _list(as_json, bool(plugins))
         return
+    from lanebound.agents.cli.early import refuse_early
+
+    if not plugins:
+        refuse_early(name)
     from lanebound.agents.episodes.opening import open_env
 
     env = open_env(name, changes(assignments))

@@ -79,6 +79,7 @@ def assess_monitors(
 
     Example: lanebound assess monitors --data data/smartloc_berlin_potsdamer --out out/monitors
     """
+    from lanebound.agents.assess.monitor_campaign import campaign_rows
     from lanebound.agents.assess.monitors import MonitorsConfig, monitor_rows, predicted_rows
     from lanebound.agents.assess.monitors import assess_monitors as assess
     from lanebound.agents.assess.monitors_page import write_page
@@ -97,6 +98,10 @@ def assess_monitors(
         if found["monitors"]:
             title = f"{place}, {found['epochs']:,} epochs: rate of errors beyond the level over the risk"
             print_table(title, *monitor_rows(config, found))
+    for place, tried in result["campaign"].items():
+        limit = f"{config.campaign.alert_limit_m:g} m"
+        title = f"{place}, faults: noticed, median; vehicles off by more than {limit}, longest time to alert"
+        print_table(title, *campaign_rows(tried))
     heads, rows = predicted_rows(result)
     if rows:
         print_table(

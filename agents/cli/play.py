@@ -23,6 +23,10 @@ def play(
 
     Example: lanebound play UrbanCanyon --sky dense
     """
+    from lanebound.agents.cli.early import refuse_early
+
+    if not _plugins:
+        refuse_early(name, None, sky, faults)
     from lanebound.agents.benchmark.scoring import outcome_of
     from lanebound.agents.drivers.keyboard import HELP
     from lanebound.agents.episodes import EpisodeLog, open_env

@@ -32,6 +32,10 @@ FAR_M = 1000.0  # between the given position of a base and that of its header, w
 def replay(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder: smartLoc, comma2k19, or a RINEX pair.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figures and for replay.json or rtk.json.")],
+    service: Annotated[
+        str | None,
+        typer.Option(metavar="NAME[,NAME]", help="Run it through a navigator with these services: spp, dgps."),
+    ] = None,
     navigator: Annotated[
         str | None,
         typer.Option(
@@ -48,6 +52,10 @@ def replay(
     RTK. Its files are told apart by their names (rover, base) or by which receiver moves. docs/navigation.md says where
     to get the recordings.
 
+    With --service the drive runs through the navigator of simulated drives: spp on smartLoc and RINEX, dgps with the
+    base of a RINEX pair; others need corrections that no recording holds. --set then changes the navigator, such as
+    services.spp.smoothing_s=100.
+
     Keys for --set, of smartLoc: every, first, training_share, solution.*, alerts.*; of comma2k19: every_s, longest_s,
     heading_error_deg, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*, fde.*, risk.*; with
     --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
@@ -58,9 +66,10 @@ def replay(
     from lanebound.agents.cli.output import print_json
     from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
-    kind = "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
+    names = [name.strip() for name in service.split(",")] if service else []
+    kind = "drive on a service" if names else "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
     found, written = _solve(
-        out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, navigator)
+        out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, names, navigator)
     )
     if as_json:
         print_json(found)
@@ -276,6 +285,26 @@ def _print_outages(found: dict[str, Any]) -> None:
     typer.echo(found["caution"])
 
 
+def _print_service(found: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+
+    rows = [(key, found[key]) for key in ("epochs", "judged", "reference")]
+    rows += [(f"epochs by {mode}", count) for mode, count in found["modes"].items()]
+    for key, name in (("horizontal", "error"), ("horizontal_of_service", "error of the service")):
+        if found.get(key):
+            rows += [(f"{name}, {part} m", found[key][f"{part}_m"]) for part in ("median", "p95", "max")]
+    rows += [(key, found[key]) for key in ("available", "no_level") if key in found]
+    print_table(f"Drive on {', '.join(found['service'])}", ("", "value"), rows)
+    if "at" in found:
+        head = ("axis", "n", "above PL", "exact 95 % interval", "median PL m")
+        levels = [
+            [a, of["epochs"], of["exceeded"], f"{of['rate_low']:.2g} to {of['rate_high']:.2g}", of["pl_median_m"]]
+            for a, of in ((axis, found[axis]) for axis in ("at", "ct"))
+        ]
+        print_table(f"Errors above protection levels at risk {found['risk']:g}", head, levels)
+        typer.echo(found["caution"])
+
+
 def _print_filter(found: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
 
@@ -296,5 +325,6 @@ def _print_filter(found: dict[str, Any]) -> None:
 
 
 _PRINTERS = {
-    "smartloc": _print_city, "comma2k19": _print_outages, "rinex": _print_rtk, "filter": _print_filter
+    "service": _print_service, "filter": _print_filter, "smartloc": _print_city, "comma2k19": _print_outages,
+    "rinex": _print_rtk,
 }  # fmt: skip

@@ -113,16 +113,18 @@ def services(
     """
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.reproduce.services import ServiceStudyConfig, run_services, service_rows
+    from lanebound.agents.reproduce import services as study
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        config = ServiceStudyConfig.load(changes(assignments, seeds=seeds))
-        result = with_bar("streets", lambda on_progress: run_services(config, out, jobs, on_progress))
+        config = study.ServiceStudyConfig.load(changes(assignments, seeds=seeds))
+        result = with_bar("parts", lambda on_progress: study.run_services(config, out, jobs, on_progress))
     if as_json:
         print_json(result)
         return
-    heads, rows = service_rows(result)
-    print_table("Services, medians over streets; shares are means", heads, rows)
+    print_table("Services, medians over streets; shares are means", *study.service_rows(result))
+    print_table("EGNOS by its satellites alone and with SISNeT", *study.mixed_rows(result))
+    if "ppp" in result:
+        print_table("PPP at rest in the open, by the time since it was switched on", *study.convergence_rows(result))
     typer.echo(f"services.json: {out}")
 
 
@@ -149,6 +151,7 @@ def context(
         print_json(tables)
         return
     print_table("Overall correct detection rate; medians over drives, 5 to 95 %", *made.ocdr_rows(tables))
+    print_table("By what the receiver uses and declares", *made.assumption_rows(tables))
     print_table("What each phase adds, and naive rules", *made.rule_rows(tables))
     print_table("Matchers, with the true map and with one that has errors", *made.matcher_rows(tables))
     print_table("Speed phase: windows warned of", *made.speed_rows(tables))

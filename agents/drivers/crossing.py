@@ -42,6 +42,10 @@ class YieldConfig(Config):
     turning_rad: float = Field(
         0.14, ge=0, description="from the directions of the crossing, from which a vehicle turns; 8 deg"
     )
+    enter_mps: float = Field(
+        3.0, gt=0, description="at which the ego enters while others approach; it can still stop in a car's length"
+    )
+    line_m: float = Field(1.0, ge=0, description="from the crossing to where the ego waits; a stop line is 1 m before")
     creep_mps: float = Field(1.0, ge=0, description="from which the ego can always stop; chosen")
     angle_sin: float = Field(0.35, ge=0, le=1, description="sine of the angle from which a path crosses; 20 degrees")
     join_sin: float = Field(
@@ -114,7 +118,10 @@ def _cap(
     covered, straight = _covered(reader, observation, route, across, extra, v, c)
     when = _times(c)
     met = _met(covered, when, station, v, top, c)
-    return _decision(station, when, met, straight, v, reader.value(observation, "road.junction"), c)
+    junction = reader.value(observation, "road.junction")
+    looks = np.sqrt(c.enter_mps**2 + 2.0 * c.brake_mps2 * np.maximum(junction, 0.0))
+    look = np.where(covered.any(axis=(-2, -1)) & (v > c.creep_mps) & (junction > 0.0), looks, np.inf)
+    return np.minimum(_decision(station, when, met, straight, v, junction, c), look)
 
 
 def _decision(
@@ -127,7 +134,7 @@ def _decision(
     """
     conflict = met.any(axis=-2)
     room = np.where(conflict, station, np.inf).min(axis=-1) - c.length_m
-    place = np.where(room + c.length_m >= junction_m, np.minimum(room, junction_m), room)
+    place = np.where(room + c.length_m >= junction_m, np.minimum(room, junction_m - c.line_m), room)
     possible = (room >= 0.5 * v**2 / c.hard_mps2) | (v <= c.creep_mps)
     stand = np.abs(station - place[..., None]) < c.length_m
     soon = [
@@ -167,8 +174,10 @@ def _covered(
     square = (courses.x[..., None] - x) ** 2 + (courses.y[..., None] - y) ** 2  # (..., K, P, T, C, D)
     width = c.width_m + np.broadcast_to(extra, across.shape)
     near = (square <= (width**2)[..., None, None, None, None]) & across[..., None, None, None, None]
-    turned = np.sin(courses.direction[..., None] - route[2][..., None, None, None, None, :])
-    near &= np.abs(turned) > c.join_sin  # one that has joined the route follows the ego
+    turned = courses.direction[..., None] - route[2][..., None, None, None, None, :]
+    joined = (np.abs(np.sin(turned)) <= c.join_sin) & (np.cos(turned) > 0.0)
+    already = np.asarray(near & joined)[..., :1, :, :].any(axis=(-2, -1), keepdims=True)
+    near &= ~(joined & already)  # one that has joined the route follows the ego, or leads
     ahead = near[..., 1, :, : len(CIRCLES), :]
     return np.asarray(near.any(axis=(-5, -4, -2))), np.asarray(ahead.any(axis=(-4, -2)))
 
@@ -241,7 +250,7 @@ def _route(reader: Reader, observation: Observation, station: Array) -> tuple[Ar
 def _across(reader: Reader, observation: Observation, x: Array, y: Array, course: Array, c: YieldConfig) -> Bools:
     """Which vehicles may cross or join the route: not along it at its point nearest to them, or far beside it.
 
-    (..., K).
+    One that comes towards the ego along the road into which the route turns crosses the turn.  (..., K).
     """
     there = reader.rows(observation, "present") > 0.5
     dx = reader.rows(observation, "ahead")[..., None] - x[..., None, :]
@@ -251,6 +260,8 @@ def _across(reader: Reader, observation: Observation, x: Array, y: Array, course
     dx, dy = (np.take_along_axis(d, nearest, -1)[..., 0] for d in (dx, dy))
     sin, cos = reader.rows(observation, "heading_sin"), reader.rows(observation, "heading_cos")
     turned = np.abs(sin * np.cos(along) - cos * np.sin(along)) > c.angle_sin
+    bends = np.any(np.abs(np.sin(course - course[..., :1])) > c.angle_sin, axis=-1, keepdims=True)
+    turned |= bends & (sin * np.sin(along) + cos * np.cos(along) < 0.0)
     beside = np.abs(dy * np.cos(along) - dx * np.sin(along)) > c.beside_m
     return np.asarray(there & (turned | beside))
 

@@ -10,26 +10,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.episodes.columns import Moment
-from lanebound.envs.context import DriveContext
+from lanebound.envs.context import ShownContext, context_of
 from lanebound.envs.core import DrivingEnv
 
 __all__ = ["WARNING_FIELDS", "DriverDisplay"]
 
-WARNING_FIELDS = ("episode", "time_s", "light", "reason", "phases", "score", "link_probability", "road")
+WARNING_FIELDS = ("episode", "time_s", *ShownContext._fields)
 
 
 class DriverDisplay:
-    """Watches a drive with the context-aware monitor; stands in for the environment where pictures are taken.
+    """Watches the context monitor in a drive; stands in for the environment where pictures are taken.
 
     Parameters
     ----------
-    env : an environment with ``navigator.gnss.undifferenced``
+    env : an environment with ``navigator.context``
+
+    Attributes
+    ----------
+    rows : the first light of each episode, and each change of light or reason, by the time of the episode
+    changes : number of changes of the light
+    seconds : time for which each light was on
     """
 
     def __init__(self, env: DrivingEnv) -> None:
-        self._env, self.context = env, DriveContext(env)
+        self._env = env
         self.rows: list[dict[str, Any]] = []
+        self.changes = 0
         self.seconds = {"green": 0.0, "amber": 0.0, "red": 0.0}
+        self._now: ShownContext | None = None
 
     def __getattr__(self, name: str) -> Any:
         """What the environment has."""
@@ -37,27 +45,28 @@ class DriverDisplay:
 
     def note(self, moment: Moment) -> None:
         """A step was taken, or an episode begins."""
-        if moment.step == 0:
-            self.context.begin()
-        known = len(self.context.log)
-        now = self.context.look()
-        self.seconds[now["light"]] += self._env.dt_s
-        for row in self.context.log[known:]:
-            self.rows.append({"episode": moment.episode, **{name: row[name] for name in WARNING_FIELDS[1:]}})
+        before, now = None if moment.step == 0 else self._now, context_of(self._env)
+        if before is not None:
+            self.seconds[before.light] += self._env.dt_s
+            self.changes += now.light != before.light
+        if before is None or (now.light, now.reason) != (before.light, before.reason):
+            time_s = round(float(moment.belief.time_s), 6)
+            self.rows.append({"episode": moment.episode, "time_s": time_s, **now._asdict()})
+        self._now = now
 
     def render(self) -> NDArray[np.uint8] | None:
         """The picture of the environment below the light."""
         from lanebound.envs.rendering.driver_display import with_display
         from lanebound.envs.rendering.theme import THEMES
 
-        picture, now = self._env.render(), self.context.now
+        picture, now = self._env.render(), self._now or context_of(self._env)
         if picture is None:
             return None
         theme = THEMES[self._env.config.rendering.theme]
-        return with_display(picture, now["light"], self.context.advice, now["road"], now["score"], theme)
+        return with_display(picture, now.light, now.advice, now.road, now.score, theme)
 
     def write(self, path: Path) -> None:
-        """Write the changes of the light as CSV."""
+        """Write the changes of light and reason as CSV."""
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, WARNING_FIELDS)
             writer.writeheader()

@@ -6,7 +6,7 @@ as true. Nothing that the monitor reads contains it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,11 +107,13 @@ class TrueLinks:
 class ContextPoint:
     """One second of B vehicles: what the monitor gets (fix, wheels), and the truth for scoring.
 
-    true_link (B, 2) identities that count as true; driving (B,) the end of the route is not reached.
+    others: fixes of the same epoch under other assumptions, by name; true_link (B, 2) identities that count as true;
+    driving (B,) the end of the route is not reached.
     """
 
     time_s: float
     fix: CodeFix
+    others: dict[str, CodeFix]
     wheel_mps: Array
     true_link: Ints
     driving: Bools
@@ -140,11 +142,12 @@ def drive_of(
     number: int,
     seeds: list[int],
     receiver: tuple[GnssConfig, SkyConfig],
-    codes: CodeErrorsConfig,
+    codes: Mapping[str, CodeErrorsConfig],
     node_m: float,
     faults: tuple[Fault, ...] = (),
 ) -> ContextDrive:
-    """The drive of vehicles with these seeds on map ``number`` of an environment."""
+    """The drive of vehicles with these seeds on map ``number`` of an environment; ``codes`` by name, the first is that
+    of the monitor, the others are further assumptions."""
     key = [list(DriveEnvironment).index(environment), number]
     found = generate_map(environment, table.length_m, named_generator(key, "road"))
     road = route_road(found)
@@ -191,7 +194,12 @@ def _densified(points: Array, closed: bool) -> Array:
 
 
 def _points(
-    navigator: Navigator, car: CityDrive, links: TrueLinks, table: DriveTable, codes: CodeErrorsConfig, node_m: float
+    navigator: Navigator,
+    car: CityDrive,
+    links: TrueLinks,
+    table: DriveTable,
+    codes: Mapping[str, CodeErrorsConfig],
+    node_m: float,
 ) -> Iterator[ContextPoint]:
     traffic = Streams(list(navigator.state.streams.seeds or ()))
     state = car.start(traffic, spread_m=car.road.length_m if car.road.closed else 150.0)
@@ -202,11 +210,12 @@ def _points(
         if last is not None:
             truth = _second(last, now, float(k))
             m = navigator.measure(truth)
-            fix = code_fix(m, codes)
+            fix, *others = (code_fix(m, assumed) for assumed in codes.values())
             driving = np.full(now.batch, True) if car.road.closed else now.arc_m < car.road.length_m - END_M
             error = np.linalg.norm(fix.position_en_m - truth.position_enu_m[:, :2], axis=-1)
             yield ContextPoint(
-                float(k), fix, m.odometer.speed_mps, links.at(now.arc_m, node_m), driving,
+                float(k), fix, dict(zip(list(codes)[1:], others, strict=True)),
+                m.odometer.speed_mps, links.at(now.arc_m, node_m), driving,
                 np.where(fix.codes.solved, error, np.inf), np.linalg.norm(now.velocity_enu_mps, axis=-1),
                 truth.position_enu_m[:, :2],
             )  # fmt: skip

@@ -24,6 +24,7 @@ from lanebound.integrity.assessment.charging_rates import ChargingConfig, chargi
 from lanebound.integrity.assessment.speed_power import SpeedPowerConfig, speed_power
 from lanebound.integrity.assessment.warning_rates import WarningCounts, sweep_thresholds
 from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.presets import deep_merge
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.context.monitor import ContextConfig, ContextMonitor, ContextVerdict
 from lanebound.integrity.monitoring.context.position_phase import check_position
@@ -43,7 +44,21 @@ Bools = NDArray[np.bool_]
 PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce", "lanebound.envs.sky")
 THRESHOLDS = np.arange(0.0, 101.0)
 MAPS = ("true", "with errors")
+ASSUMED = "assumed"
+Judge = tuple[str, str]
+"""A map and a matcher; or ASSUMED and the name of an assumption."""
 S5_SKY = {"lat_deg": 52.95, "lon_deg": -1.15, "qzss": 0}
+
+
+PRINTED = {"position": {"printed_slope": True}, "codes": {"plain_hdop": True}}
+GPS = {"systems": ["GPS"]}
+ASSUMPTIONS: dict[str, dict[str, Any]] = {
+    "GPS alone": {"codes": GPS},
+    "level as printed": PRINTED,
+    "S5: level as printed, GPS alone, weak signals": deep_merge(PRINTED, {"codes": {**GPS, "least_cn0_dbhz": 20.0}}),
+}
+"""S5's receiver has GPS alone and tracks to -160 dBm (section 4.1). Its slope has no deviation of a code and its HDOP
+no weights (equations 1 and 2), so that HPL is in metres if each code has an error of 1 m; the WSSE test has weights."""
 
 
 class ContextStudyConfig(Config):
@@ -64,10 +79,18 @@ class ContextStudyConfig(Config):
     map_errors: MapErrorsConfig = Field(
         MapErrorsConfig(shift_m=3.0, missing=0.02, wrong_topology=0.02), description="errors of the second map; chosen"
     )
+    assumptions: dict[str, dict[str, Any]] = Field(
+        ASSUMPTIONS, description="changes of the monitor; each judges the same drives with the second map"
+    )
     node_m: float = Field(10.0, ge=0, description="distance from a node within which both links count as true [m]")
     monitor: ContextConfig = Field(default_factory=ContextConfig)
     charging: ChargingConfig = ChargingConfig()
     speed_power: SpeedPowerConfig = SpeedPowerConfig()
+
+    @property
+    def assumed(self) -> dict[str, ContextConfig]:
+        """The monitor under each of the assumptions."""
+        return {name: self.monitor.replace(**changes) for name, changes in self.assumptions.items()}
 
 
 def run_context(config: ContextStudyConfig, out: Path, on_progress: OnProgress = ignore) -> dict[str, Any]:
@@ -110,7 +133,8 @@ def work_part(config: ContextStudyConfig, name: str, advance: Advance = ignore) 
     environment, number = DriveEnvironment(name.split("-")[0]), int(name.split("-")[1])
     seeds, table = _parts(config)[name], config.drives[environment]
     drive = drive_of(
-        environment, table, number, seeds, (config.gnss, config.sky), config.monitor.codes, config.node_m
+        environment, table, number, seeds, (config.gnss, config.sky),
+        {"": config.monitor.codes, **{name: assumed.codes for name, assumed in config.assumed.items()}}, config.node_m,
     )  # fmt: skip
     key = [list(DriveEnvironment).index(environment), number]
     maps = {
@@ -118,11 +142,12 @@ def work_part(config: ContextStudyConfig, name: str, advance: Advance = ignore) 
         "with errors": with_errors(drive.road_map, config.map_errors, named_generator(key, "map")),
     }
     monitors = {
-        (which, kind): ContextMonitor(_with_matcher(config.monitor, kind), road_map, len(seeds), 1.0)
+        (which, str(kind)): ContextMonitor(_with_matcher(config.monitor, kind), road_map, len(seeds), 1.0)
         for which, road_map in maps.items()
         for kind in MatcherKind
     }
-    series = MonitorSeries.of(drive, table.points, monitors, config.monitor, advance)
+    others = {name: ContextMonitor(config.monitor, maps["with errors"], len(seeds), 1.0) for name in config.assumptions}
+    series = MonitorSeries.of(drive, table.points, monitors, others, config.monitor, advance)
     return {
         "environment": str(environment),
         "seeds": [_drive_figures(config, series, maps, b) for b in range(len(seeds))],
@@ -138,28 +163,32 @@ class MonitorSeries:
 
     def __init__(self) -> None:
         self.point: dict[str, list[NDArray[Any]]] = {}
-        self.found: dict[tuple[str, MatcherKind], dict[str, list[NDArray[Any]]]] = {}
+        self.found: dict[Judge, dict[str, list[NDArray[Any]]]] = {}
 
     @classmethod
     def of(
         cls,
         drive: ContextDrive,
         points: int,
-        monitors: Mapping[tuple[str, MatcherKind], ContextMonitor],
+        monitors: Mapping[Judge, ContextMonitor],
+        others: Mapping[str, ContextMonitor],
         config: ContextConfig,
         advance: Advance,
     ) -> MonitorSeries:
         """Drive, and let every monitor judge every point."""
-        out, batch = cls(), next(iter(monitors.values())).speed._count.size
+        out, batch = cls(), next(iter(monitors.values())).speed.memory["count"].size
         phases = {form: SpeedPhase(config.speed.replace(form=form), batch) for form in SpeedForm}
         for k, p in enumerate(drive.points):
-            position = check_position(p.fix.codes, config.position)
+            position = check_position(p.fix.codes, config.position, p.fix.hdop)
             tests = {form: _speed_test(phase, p) for form, phase in phases.items()}
             speed = tests[config.speed.form]
             _add(out.point, _of_point(p, tests))
             for key, monitor in monitors.items():
                 verdict = monitor.step(p.fix, p.wheel_mps, position, speed)
                 _add(out.found.setdefault(key, {}), _of_verdict(verdict, p))
+            for name, monitor in others.items():
+                verdict = monitor.step(p.others[name], p.wheel_mps)
+                _add(out.found.setdefault((ASSUMED, name), {}), _of_verdict(verdict, p))
             advance((k + 1) / points)
         return out
 
@@ -167,7 +196,7 @@ class MonitorSeries:
         """A quantity of the points of drive ``b``, (T,)."""
         return np.array([row[b] for row in self.point[name]])
 
-    def of_found(self, key: tuple[str, MatcherKind], name: str, b: int) -> NDArray[Any]:
+    def of_found(self, key: Judge, name: str, b: int) -> NDArray[Any]:
         """What a monitor found, of drive ``b``, (T,)."""
         return np.array([row[b] for row in self.found[key][name]])
 
@@ -195,6 +224,7 @@ def _of_verdict(v: ContextVerdict, p: ContextPoint) -> dict[str, NDArray[Any]]:
         "warn": v.warn, "reason": v.reason, "score": v.score, "phases": v.phases, "link": v.link,
         "right": (v.link[:, None] == p.true_link).any(-1), "probability": v.match.probability,
         "level": v.position.level_m, "available": v.position.available, "consistent": v.position.consistent,
+        "speed": v.speed.consistent,
         "matched": v.map.matched, "map": v.map.passed, "own score": v.map.score,
     }  # fmt: skip
 
@@ -211,9 +241,14 @@ def _drive_figures(config: ContextStudyConfig, s: MonitorSeries, maps: Mapping[s
             for form in SpeedForm
         },
         "of": {},
+        "assumptions": {},
     }
-    for (which, kind), _ in s.found.items():
-        out["of"][f"{which}, {kind}"] = _judged(config, s, maps["true"], (which, kind), b, driving, moving)
+    for which, kind in s.found:
+        found = _judged(config, s, maps["true"], (which, kind), b, driving, moving)
+        if which == ASSUMED:
+            out["assumptions"][kind] = found
+        else:
+            out["of"][f"{which}, {kind}"] = found
     return out
 
 
@@ -221,7 +256,7 @@ def _judged(
     config: ContextStudyConfig,
     s: MonitorSeries,
     road_map: RoadMap,
-    key: tuple[str, MatcherKind],
+    key: Judge,
     b: int,
     driving: Bools,
     moving: Bools,
@@ -229,13 +264,9 @@ def _judged(
     """Counts of warnings of each rule of warning, the sweep, and what charging makes of the verdicts."""
     get = partial(s.of_found, key, b=b)
     wrong = ~get(name="right")
-    counts = {
-        name: _counted(WarningCounts.of(warn, wrong, driving)) for name, warn in _rules(config, s, get, moving, b)
-    }
-    passed = (
-        get(name="available") & get(name="consistent") & moving & s.of_points(f"speed {config.monitor.speed.form}", b)
-    )
-    warned = dict(_rules(config, s, get, moving, b))["all phases"]
+    counts = {name: _counted(WarningCounts.of(warn, wrong, driving)) for name, warn in _rules(config, get, moving)}
+    passed = get(name="available") & get(name="consistent") & moving & get(name="speed")
+    warned = dict(_rules(config, get, moving))["all phases"]
     sweep = sweep_thresholds(get(name="own score"), wrong, THRESHOLDS, driving & passed)
     belief = sweep_thresholds(100.0 * get(name="probability"), wrong, THRESHOLDS, driving)
     charges = charging_counts(
@@ -255,12 +286,10 @@ def _judged(
     }
 
 
-def _rules(
-    config: ContextStudyConfig, s: MonitorSeries, get: Any, moving: Bools, b: int
-) -> Iterator[tuple[str, Bools]]:  # fmt: skip
+def _rules(config: ContextStudyConfig, get: Any, moving: Bools) -> Iterator[tuple[str, Bools]]:
     """Rules of warning (T,): the whole monitor, without each phase, each phase alone, and naive ones."""
     position = ~(get(name="available") & get(name="consistent"))
-    speed = moving & ~s.of_points(f"speed {config.monitor.speed.form}", b)
+    speed = moving & ~get(name="speed")
     road = ~get(name="matched") | ~get(name="map")
     rest = ~moving
     yield "as printed", position | rest | speed | road

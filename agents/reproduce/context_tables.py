@@ -9,10 +9,20 @@ import numpy as np
 
 from lanebound.integrity.assessment.warning_rates import PUBLISHED_COUNTS, WarningCounts, WarningSweep
 
-__all__ = ["PRINTED_PERCENT", "application_rows", "matcher_rows", "ocdr_rows", "rule_rows", "speed_rows", "summarise"]
+__all__ = [
+    "PRINTED_PERCENT",
+    "application_rows",
+    "assumption_rows",
+    "matcher_rows",
+    "ocdr_rows",
+    "rule_rows",
+    "speed_rows",
+    "summarise",
+]
 
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
+PUBLISHED_PASSED = {"urban": 913, "rural": 2994, "mixed": 809}  # points, S5 table after section 4.4
 PRINTED_PERCENT = {"urban": 98.24, "rural": 99.23, "mixed": 97.29}  # S5 Table 4
 MAIN = "with errors, topological"  # S5's matcher, with the map that a vehicle may have
 RULES = (
@@ -40,6 +50,7 @@ def _environment(drives: list[Mapping[str, Any]]) -> dict[str, Any]:
         "error_m": [_spread(d["error_m"][k] for d in drives) for k in range(2)],
         "speed": {form: _spread(d["speed"][form] for d in drives) for form in drives[0]["speed"]},
         "of": {key: _monitor([d["of"][key] for d in drives]) for key in drives[0]["of"]},
+        "assumptions": {name: _monitor([d["assumptions"][name] for d in drives]) for name in drives[0]["assumptions"]},
     }
 
 
@@ -47,7 +58,7 @@ def _monitor(found: list[Mapping[str, Any]]) -> dict[str, Any]:
     return {
         "right": _spread(f["right"] for f in found),
         "available": _spread(f["available"] for f in found),
-        "passed": _spread(f["passed"] / max(f["judged"][0], 1) for f in found),
+        "passed": _spread(f["passed"] / max(f["counts"]["never"][0], 1) for f in found),
         "rules": {rule: _counts([f["counts"][rule] for f in found]) for rule in RULES},
         "judged": _counts([f["judged"] for f in found]),
         "sweep": _sweep([f["sweep"] for f in found]),
@@ -120,6 +131,24 @@ def ocdr_rows(tables: Mapping[str, Any]) -> Table:
     return (
         "drive", "S5", "warned at rest", "all phases", "third phase alone, of points that reach it", "never warn",
         "HPL within limit",
+    ), rows  # fmt: skip
+
+
+def assumption_rows(tables: Mapping[str, Any]) -> Table:
+    """Availability and rates by what the receiver uses and declares; the first row of a drive is the monitor's own."""
+    rows: list[tuple[str, ...]] = []
+    for name, env in tables["environments"].items():
+        for assumed, found in (("all systems, declared errors", env["of"][MAIN]), *env["assumptions"].items()):
+            rows.append((
+                name, assumed, _with_spread(found["available"]), _with_spread(found["passed"]),
+                _with_spread(found["rules"]["as printed"]["ocdr"]), _with_spread(found["rules"]["all phases"]["ocdr"]),
+                _with_spread(found["judged"]["ocdr"]),
+            ))  # fmt: skip
+        passed = 100 * PUBLISHED_PASSED[name] / PUBLISHED_COUNTS[name][2]
+        rows.append((name, "S5, published", "-", f"{passed:.1f} %", f"{PRINTED_PERCENT[name]:.2f} %", "-", "-"))
+    return (
+        "drive", "receiver", "HPL within limit", "three levels passed", "OCDR, warned at rest", "OCDR, all phases",
+        "OCDR, third phase of points that reach it",
     ), rows  # fmt: skip
 
 

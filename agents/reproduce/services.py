@@ -4,7 +4,11 @@ S2 section 6: in the open, lane identification and collision alert could be done
 and nearly always with PPP; in the city hardly ever. S2 states no accuracy for them; here an application is possible
 while the horizontal error is at most 1.5 m, the alert limit of S2 section 8, and ``bounded`` while both protection
 levels are. S4 section III-A: a low-cost GPS receiver in the open without and with EGNOS, and how long EGNOS is
-available on a mixed circuit and in the city, by its satellites alone and with SISNeT.
+available on a mixed circuit and in the city, by its satellites alone and with SISNeT. The mixed circuit is here the
+mean over the skies; EGNOS is available while its corrections are not older than their time-outs.
+
+The drives are too short for PPP to converge. It has a scenario of its own: vehicles at rest in the open for 30 minutes,
+at hours spread over a day.
 """
 
 from __future__ import annotations
@@ -17,15 +21,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.assess.street_drives import StreetDrivesConfig, drive_street
+from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.reproduce.service_drives import HOURS, converge, drive_service_street
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 
-__all__ = ["CASES", "PUBLISHED", "ServiceStudyConfig", "run_services", "service_rows"]
+__all__ = [
+    "CASES",
+    "PUBLISHED",
+    "ServiceStudyConfig",
+    "convergence_rows",
+    "mixed_rows",
+    "run_services",
+    "service_rows",
+]
 
 PACKAGES = ("lanebound.integrity", "lanebound.envs.sky", "lanebound.agents.assess", "lanebound.agents.reproduce")
 NEEDED_M = 1.5  # of the applications, S2 section 8
@@ -82,6 +95,8 @@ class ServiceStudyConfig(Config):
     vehicles: int = Field(4, ge=1, le=256, description="vehicles in a street, each in an hour of its street")
     duration_s: float = Field(60.0, gt=0, description="length of a drive after the warm-up [s]")
     warm_up_s: float = Field(20.0, ge=0, description="time before the first epoch that counts [s]")
+    ppp_hours: int = Field(8, ge=0, le=HOURS, description="hours of the day at which PPP converges; 0: not at all")
+    ppp_minutes: int = Field(30, ge=1, le=120, description="time at rest of PPP [min]; S2 Table 1: up to 30")
     first_seed: int = Field(401, ge=0, description="of the drives; nothing was fitted there")
 
 
@@ -97,8 +112,12 @@ def run_services(
     """
     ResultFolder(out, "services study", config.to_dict(), code_digest(*PACKAGES)).claim()
     names = [f"{k}-{n}" for k in range(len(config.skies)) for n in range(config.seeds)]
+    names += [f"ppp-{hour * HOURS // config.ppp_hours}" for hour in range(config.ppp_hours)]
     parts = run_parts(out, names, partial(work_street, config), jobs, on_progress)
     result: dict[str, Any] = {"config": config.to_dict(), "skies": {}}
+    alone = [part for name, part in parts.items() if name.startswith("ppp-")]
+    if alone:
+        result["ppp"] = _convergence(alone)
     for k, sky in enumerate(config.skies):
         mine = [part for name, part in parts.items() if name.startswith(f"{k}-")]
         result["skies"][sky] = {case: _medians([part[case] for part in mine]) for case in config.cases}
@@ -107,7 +126,10 @@ def run_services(
 
 
 def work_street(config: ServiceStudyConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
-    """One street with each service in turn; it does not depend on others."""
+    """One street with each service in turn, or PPP at one hour; it does not depend on others."""
+    if name.startswith("ppp-"):
+        hour = int(name.removeprefix("ppp-"))
+        return converge(config.first_seed, hour, config.vehicles, config.ppp_minutes, advance=advance)
     sky, number = (int(text) for text in name.split("-"))
     found = {}
     for n, case in enumerate(config.cases):
@@ -135,10 +157,11 @@ def _drive(config: ServiceStudyConfig, sky: str, number: int, case: str) -> dict
                 np.abs(moment.error_m),
                 np.minimum(np.stack([moment.solution.pl_at_m, moment.solution.pl_ct_m], -1), NO_LEVEL_M),
                 moment.solution.mode,
-                moment.solution.hdop,
+                moment.hdop,
+                moment.corrected,
             ]
         )
-        for moment in drive_street(drives, sky, number)
+        for moment in drive_service_street(drives, sky, number)
     ]
     return _figures(np.concatenate(rows), _mode_of(case))
 
@@ -150,7 +173,7 @@ def _mode_of(case: str) -> Mode:
 
 
 def _figures(rows: NDArray[np.float64], mode: Mode) -> dict[str, float]:
-    """Statistics of epochs (N, 7): horizontal error, errors and levels along and across, mode, HDOP."""
+    """Statistics of epochs (N, 8): horizontal error, errors and levels along and across, mode, HDOP, corrected."""
     error, both, levels, modes, hdop = rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5], rows[:, 6]
     own = modes == int(mode)
     return {
@@ -165,12 +188,13 @@ def _figures(rows: NDArray[np.float64], mode: Mode) -> dict[str, float]:
         "bounded": float((levels <= NEEDED_M).all(-1).mean()),
         "beyond": float((both > levels).any(-1).mean()),
         "hdop_below_3": float((hdop < 3.0).mean()),
+        "corrected": float(rows[:, 7].mean()),
     }
 
 
 def _medians(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Medians over streets; of shares the mean, as a median of few zeros and ones hides them."""
-    shares = ("service", "accurate", "bounded", "beyond", "hdop_below_3")
+    shares = ("service", "accurate", "bounded", "beyond", "hdop_below_3", "corrected")
     return {key: float((np.mean if key in shares else np.median)([part[key] for part in parts])) for key in parts[0]}
 
 
@@ -185,7 +209,8 @@ def service_rows(result: Mapping[str, Any]) -> Table:
             of = found[case]
             own = "-" if of["own_cep_m"] >= NO_LEVEL_M else f"{of['own_cep_m']:.2f} / {of['own_hpe95_m']:.2f}"
             levels = ["-" if of[key] >= NO_LEVEL_M else f"{of[key]:.1f}" for key in ("pl_at_m", "pl_ct_m")]
-            shares = [f"{100.0 * of[key]:.0f} %" for key in ("service", "accurate", "bounded", "hdop_below_3")]
+            shown = ("service", "corrected", "accurate", "bounded", "hdop_below_3")
+            shares = [f"{100.0 * of[key]:.0f} %" for key in shown]
             beyond = f"{of['beyond']:.1e}" if of["beyond"] else "0"
             first = sky == next(iter(result["skies"]))
             rows.append((
@@ -193,7 +218,44 @@ def service_rows(result: Mapping[str, Any]) -> Table:
                 PUBLISHED[case] if first else "",
             ))  # fmt: skip
     heads = (
-        "case", "sky", "CEP / HPE95 [m]", "of its mode [m]", "PL along", "PL across", "of its mode", "error < 1.5 m",
-        "levels < 1.5 m", "HDOP < 3", "beyond", "published",
+        "case", "sky", "CEP / HPE95 [m]", "of its mode [m]", "PL along", "PL across", "of its mode", "corrected",
+        "error < 1.5 m", "levels < 1.5 m", "HDOP < 3", "beyond", "published",
     )  # fmt: skip
     return heads, rows
+
+
+def _convergence(parts: Sequence[Mapping[str, list[float]]]) -> dict[str, list[float]]:
+    """Over the hours: root mean square, largest error, median level, shares, by the minute."""
+    table = {key: np.array([part[key] for part in parts]) for key in parts[0]}
+    return {
+        "rms_m": np.sqrt(np.mean(np.square(table["rms_m"]), 0)).tolist(),
+        "largest_m": table["largest_m"].max(0).tolist(),
+        "level_m": np.median(table["level_m"], 0).tolist(),
+        "ppp": table["ppp"].mean(0).tolist(),
+        "beyond": table["beyond"].mean(0).tolist(),
+    }
+
+
+def mixed_rows(result: Mapping[str, Any]) -> Table:
+    """How long corrections are available on the mean of all skies, beside S4 Table IV."""
+    printed = {"s4_egnos": "64.8 %", "s4_sisnet": "89.2 %"}
+    rows: list[tuple[str, ...]] = [
+        (case, f"{100.0 * np.mean([sky[case]['corrected'] for sky in result['skies'].values()]):.1f} %", printed[case])
+        for case in printed
+        if case in result["config"]["cases"]
+    ]
+    return ("case", "corrected, mean of skies", "S4, mixed circuit"), rows
+
+
+def convergence_rows(result: Mapping[str, Any]) -> Table:
+    """Error and level of PPP by the time at rest; S2 Table 1: below 0.1 m after up to 30 min."""
+    found, last = result["ppp"], result["config"]["ppp_minutes"]
+    rows: list[tuple[str, ...]] = [
+        (
+            f"{minute}", f"{found['rms_m'][minute - 1]:.3f}", f"{found['largest_m'][minute - 1]:.3f}",
+            f"{found['level_m'][minute - 1]:.2f}", f"{100.0 * found['beyond'][minute - 1]:.1f} %",
+        )
+        for minute in sorted({1, 2, 5, 10, 15, 20, 30, last})
+        if minute <= last
+    ]  # fmt: skip
+    return ("time [min]", "error on an axis, rms [m]", "largest [m]", "median level [m]", "beyond"), rows

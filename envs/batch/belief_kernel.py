@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 class Fixes(NamedTuple):
-    """Solutions of B vehicles, (B,) and (B, 2): fields of ``Solution``."""
+    """Solutions of B vehicles, (B,) and (B, 2): fields of ``Solution``, the last four of its ``context``."""
 
     position_en_m: Array
     heading_rad: Array
@@ -45,6 +45,10 @@ class Fixes(NamedTuple):
     since_rtk_s: Array
     since_calibration_s: Array
     corrections_age_s: Array
+    context_warning: NDArray[np.bool_]
+    context_phases: NDArray[np.int64]
+    context_score: Array
+    link_probability: Array
     model_curved: Array
     nis_position: Array
     nis_wheels: Array
@@ -62,6 +66,8 @@ def adopt(t, b, fixes, v):  # type: ignore[no-untyped-def]
     b.satellites, b.satellites_doppler = fixes.satellites[v], fixes.satellites_doppler[v]
     b.excluded, b.since_rtk_s = fixes.excluded[v], fixes.since_rtk_s[v]
     b.since_calibration_s, b.corrections_age_s = fixes.since_calibration_s[v], fixes.corrections_age_s[v]
+    b.context_warning, b.context_phases = fixes.context_warning[v], fixes.context_phases[v]
+    b.context_score, b.link_probability = fixes.context_score[v], fixes.link_probability[v]
     b.model_curved, b.trust_m = fixes.model_curved[v], fixes.trust_m[v]
     b.nis_position, b.nis_wheels = fixes.nis_position[v], fixes.nis_wheels[v]
 

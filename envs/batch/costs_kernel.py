@@ -14,6 +14,7 @@ PL_CT; about the outer edges of both lanes during a change; 0 without a lane to 
 No less than ``max(0, 1 - gap / d_RSS) dt`` in TRUTH, and dt while a vehicle is that near and none perceived ahead. To
 lose sight of a leader, or its level, saves nothing, and to be alone costs nothing.
 ``cost_alert``  dt while an alert is older than the TTA and the car drives faster than permitted or changes lane.
+``cost_context``  dt while the context monitor warns and the car drives faster than permitted or changes lane.
 ``cost_hmi``  dt times the share of the step's epochs whose information is hazardously misleading on either axis.
 
 The corridor is the lanes that the car may be in: its own, and during a commanded change the lane that the change comes
@@ -218,8 +219,9 @@ def price(b, sc, car, seen, count, lanes, rules, dt, out):  # type: ignore[no-un
     out.cost_headway = _headway(b, car, seen, count, lanes, c) * dt
     out.cost_alert = dt if late and (fast or sc.leaving_side >= 0) else 0.0
     out.cost_hmi = out.hmi_share * dt
+    out.cost_context = dt if b.context_warning != 0 and (fast or sc.leaving_side >= 0) else 0.0
     total = c.collision * out.cost_collision + c.off_road * out.cost_off_road + c.lane * out.cost_lane
     total += c.lane_integrity * out.cost_lane_integrity
     total += c.headway * out.cost_headway
     total += c.alert * out.cost_alert
-    out.cost = total + c.hmi * out.cost_hmi
+    out.cost = total + c.hmi * out.cost_hmi + c.context * out.cost_context

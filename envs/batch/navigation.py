@@ -31,7 +31,8 @@ from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, Start
-from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.navigators.solution import ContextReport, Solution
+from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 
 __all__ = ["HEARD_S", "Approach", "NavigationBatch", "Starts", "draw_starts", "fixes_of"]
 
@@ -39,6 +40,8 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
+OF_CONTEXT = ContextReport._fields[:4]
+OF_SOLUTION = tuple(name for name in Fixes._fields if name not in OF_CONTEXT)
 HEARD_S = 0.6  # of the approach with the radio on: the longest delay of a message
 FLEET_SEEDS = 2**62
 FLEET_STARTS = 2  # draws of the others' first positions: as they enter the world, and again for their approach
@@ -84,7 +87,8 @@ def fleet_generator(seed: int) -> np.random.Generator:
 
 def fixes_of(solution: Solution) -> Fixes:
     """The fields of a solution that kernels read."""
-    return Fixes(*[getattr(solution, name) for name in Fixes._fields])
+    context = solution.context or ContextReport.none(solution.batch)
+    return Fixes(*[getattr(solution, name) for name in OF_SOLUTION], *context[: len(OF_CONTEXT)])
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,7 @@ class NavigationBatch:
     lanes : of the road network
     count, vehicles : N environments of M vehicles
     step_s, steps : length of a simulation step, and steps in an epoch
+    road_map : of the context monitor of the egos, if there is one
 
     Attributes
     ----------
@@ -130,6 +135,7 @@ class NavigationBatch:
         vehicles: int,
         step_s: float,
         steps: int,
+        road_map: RoadMap | None = None,
     ) -> None:
         self.config, self.skies, self.cities, self.lanes = config, skies, cities, lanes
         self._forecast = forecast
@@ -137,6 +143,8 @@ class NavigationBatch:
         self.epoch_s = step_s * steps
         self.epochs_before = max(1, round(config.warm_up_s / self.epoch_s))
         self._one = Navigator(settings, skies.track, cities.mask, 0, 1)
+        if road_map is not None:
+            self._one.use_map(road_map, one_in=vehicles)
         self._make()
 
     def _make(self) -> None:
@@ -242,7 +250,7 @@ class NavigationBatch:
                 continue
             ago = step // self.steps - self.epochs_before
             clock, time_s = self._clock_s(ago), ago * self.epoch_s
-            times = self.skies.times(hour, np.full(rows.size, clock))
+            times = hour, np.full(rows.size, clock)
             run_rows(rk.sky_rows, rows.size, every, sensed.handle, times, row_us=2.0)
             fill_motion(motions, every, self.step_s, self._down, truth)
             solution = self._locate(navigator, truth, self.skies.view(sky, index), clock)
@@ -276,7 +284,7 @@ class NavigationBatch:
     def epoch_link(self, rows: Rows, batch: Records) -> tuple[Any, TruthRows]:
         """A simulation step has passed that ends an epoch, as a link, and the truth that it fills."""
         self._age += 1
-        truth, times = _truth_rows(self.motions.size), self.skies.times(self._hour, self.clock_s)
+        truth, times = _truth_rows(self.motions.size), (self._hour, self.clock_s)
         return (rk.end_epoch, (rows, batch, self.sensed.handle, self.motions, self._down, times, truth)), truth
 
     def navigate(self, rows: Rows, batch: Records) -> Solution:
@@ -292,7 +300,7 @@ class NavigationBatch:
 
     def _locate(self, navigator: Navigator, truth: TruthRows, sky: Any, clock_s: float) -> Solution:
         self.measurements = navigator.measure(Truth(clock_s, self.epoch_s, *truth), sky)
-        return navigator.locate(self.measurements)
+        return navigator.solve(self.measurements)
 
     def view(self) -> Any:
         """The skies over all vehicles at the last epoch; no satellites for a missing vehicle."""
@@ -302,7 +310,7 @@ class NavigationBatch:
 
     def sky_link(self, rows: Rows) -> Any:
         """The skies over egos now, as a link."""
-        return rk.sky_rows, (rows, self.sensed.handle, self.skies.times(self._hour, self.clock_s))
+        return rk.sky_rows, (rows, self.sensed.handle, (self._hour, self.clock_s))
 
     @property
     def time_s(self) -> Array:

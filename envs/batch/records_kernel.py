@@ -27,6 +27,7 @@ TERMS = ("progress", "lane_centre", "comfort", "collision", "base")
 """Terms of the reward."""
 CAUSES = (
     "cost_collision", "cost_off_road", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_alert", "cost_hmi",
+    "cost_context",
 )  # fmt: skip
 """Costs by cause."""
 
@@ -108,6 +109,10 @@ BELIEF = record(
     since_rtk_s="since the last RTK position, inf for never",
     since_calibration_s="since the heading was calibrated, inf for never",
     corrections_age_s="of the reference data, inf when the link is out",
+    context_warning=("i8", "1 while the context monitor warns"),
+    context_phases=("i8", "phases of the context monitor that are passed, 0 to 3"),
+    context_score="of the matched link, 0 to 100",
+    link_probability="of the matched link",
     model_curved="probability of the curved model of a filter, 0 without",
     nis_position="of the last position of a filter, 0 without",
     nis_wheels="of the last wheel speed of a filter, 0 without",
@@ -224,6 +229,7 @@ COST_FIGURES = record(
     headway="weight of cost_headway [1/s]",
     alert="weight of cost_alert [1/s]",
     hmi="weight of cost_hmi [1/s]",
+    context="weight of cost_context [1/s]",
     response_s="response time of the RSS distance",
     accelerate_mps2="acceleration during the response",
     brake_min_mps2="braking that the ego is sure to reach",

@@ -117,11 +117,11 @@ def end_epoch(first, last, rows, batch, sensed, motions, down, times, truth):  #
 
 @jit(borrows=True)
 def sky_rows(first, last, rows, sensed, times):  # type: ignore[no-untyped-def]
-    """The skies over environments; times: hour, knot, share of the step past it (N,); step [s]; mask [rad]."""
-    a, (hour, knot, share, step, mask) = unbundle(sensed), times
+    """The skies over environments; times: hour (N,), and time since its beginning (N,) [s]."""
+    a, (hour, clock) = unbundle(sensed), times
     for n in range(first, last):
         e = rows[n]
-        fill_sky(a.hours, hour[e], knot[e], share[e], step, mask, e, a.sky)
+        fill_sky(a.hours, hour[e], clock[e], e, a.sky)
 
 
 @jit(borrows=True)

@@ -43,13 +43,11 @@ class Skies:
 
     Attributes
     ----------
-    start_s : (H,) GPS time at which each hour's sky begins
-    table : vectors to the satellites and their rates
+    table : vectors to the satellites and their rates, and when each hour's sky begins
     used : (H, S) bool, places taken in that hour, by the satellites that rise in it in their order
     track : of the first hour; the other hours have the same systems
     """
 
-    start_s: Array
     table: HourTable
     used: NDArray[np.bool_]
     track: SkyTrack
@@ -64,7 +62,7 @@ class Skies:
         offset, rate = np.stack([offset for offset, _ in tables]), np.stack([rate for _, rate in tables])
         some = sky.satellites().take(np.where(held[0] >= 0, held[0], _places(text, knots).max(0)))
         track = SkyTrack(float(start[0]), STEP_S, offset[0], rate[0], float(sky.mask_rad), some.system, some.prn)
-        return cls(start, HourTable(offset, rate), held >= 0, track)
+        return cls(HourTable(offset, rate, start, STEP_S, track.mask_rad), held >= 0, track)
 
     @property
     def satellites(self) -> int:
@@ -76,13 +74,6 @@ class Skies:
         t, used = self.track, self.used[0]
         return SkyTrack(t.start_s, STEP_S, self.table.offset[0][:, used], self.table.rate[0][:, used], t.mask_rad,
                         t.system[used], t.prn[used])  # fmt: skip
-
-    def times(self, hour: Rows, clock_s: Array) -> tuple[Rows, Rows, Array, float, float]:
-        """What the kernel of skies takes for N environments: hour (N,), and ``clock_s`` (N,) after its beginning."""
-        begin = self.start_s[hour]
-        place = (begin + clock_s - begin) / STEP_S  # rounded as by SkyTrack.at
-        knot = np.minimum(np.maximum(place.astype(np.int64), 0), self.table.offset.shape[1] - 2)
-        return hour, knot, place - knot, STEP_S, self.track.mask_rad
 
     def empty(self, count: int) -> SkyRows:
         """Rows for N environments and one more, in which there is no satellite."""

@@ -20,10 +20,16 @@ NO_LANE = -1.0  # number of satellites where there is no lane
 
 
 class HourTable(NamedTuple):
-    """Vectors to S satellites (H, K, S, 3) [m], and their rates [m/s], at K knots of H hours."""
+    """Vectors to S satellites (H, K, S, 3) [m], and their rates [m/s], at K knots of H hours.
+
+    start (H,): GPS time at which each hour begins [s]; step between knots [s]; mask: least elevation [rad].
+    """
 
     offset: NDArray[np.float64]
     rate: NDArray[np.float64]
+    start: NDArray[np.float64]
+    step: float
+    mask: float
 
 
 class SkyRows(NamedTuple):
@@ -49,12 +55,15 @@ class Forecast(NamedTuple):
 
 
 @jit(borrows=True)
-def fill_sky(table, hour, knot, share, step, mask, e, sky):  # type: ignore[no-untyped-def]
-    """The satellites of an environment at a time between two knots, ``step`` [s] apart, cubic Hermite in between.
+def fill_sky(table, hour, clock, e, sky):  # type: ignore[no-untyped-def]
+    """The satellites of an environment ``clock`` [s] after the beginning of its hour, cubic Hermite between knots.
 
-    knot: the knot before; share of the step past it; mask: least elevation [rad]. As
-    :func:`~lanebound.integrity.sky.track_kernel.sky_at`.
+    As :func:`~lanebound.integrity.sky.track_kernel.sky_at`.
     """
+    begin, step = table.start[hour], table.step
+    place = (begin + clock - begin) / step  # rounded as by SkyTrack.at
+    knot = min(max(int(place), 0), table.offset.shape[1] - 2)
+    share = place - knot
     a1 = share * share * (3.0 - 2.0 * share)
     a0 = 1.0 - a1
     b0, b1 = step * share * (1.0 - share) * (1.0 - share), step * share * share * (share - 1.0)
@@ -73,7 +82,7 @@ def fill_sky(table, hour, knot, share, step, mask, e, sky):  # type: ignore[no-u
             sky.elevation[e, s] = math.asin(min(1.0, sky.los[e, s, 2]))
             turn = math.atan2(sky.los[e, s, 0], sky.los[e, s, 1])
             sky.azimuth[e, s] = turn if turn >= 0.0 else turn + TWO_PI
-            sky.above[e, s] = sky.elevation[e, s] > mask
+            sky.above[e, s] = sky.elevation[e, s] > table.mask
 
 
 @jit(borrows=True)

@@ -51,6 +51,16 @@ class CrewStreams(Streams):
         self._crew_used = (self._crew[:, :, None] & self._used[:, None, :]).reshape(count, -1)
         self._complete = bool(self._crew.all())
 
+    @property
+    def draws_by_row(self) -> bool:
+        """Whether every row has a generator of its own: there are egos alone."""
+        return bool(self._vehicles == 1)
+
+    @property
+    def places(self) -> NDArray[np.bool_]:
+        """(N, S) places that hold a satellite; the array stays in place."""
+        return self._used
+
     def normal(self, name: str, *shape: int, where: NDArray[np.bool_] | None = None) -> Array:
         """Standard normal draws (N M, *shape); of a common stream perhaps by some environments alone."""
         if where is not None and name not in COMMON:

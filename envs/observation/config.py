@@ -26,6 +26,9 @@ class ObservationConfig(Config):
     services: tuple[str, ...] = Field(
         (), description="services whose modes have entries; an environment sets those of navigator.service"
     )
+    context: bool = Field(
+        False, description="entries of the context monitor; an environment sets it where the navigator has one"
+    )
     filters: bool = Field(
         False,
         description="model probability, NIS and trust level have entries; an environment sets it for navigator.kind: "

@@ -178,7 +178,21 @@ def _levels(c: ObservationConfig) -> list[Entry]:
         g.positive("excluded", "", c.excluded_max, "number of satellites excluded by fault detection in this epoch",
                    "belief.excluded"),
         g.positive("hdop", "", c.hdop_max, "horizontal dilution of precision; 1 without satellites", "belief.hdop"),
+        *(_context(g) if c.context else ()),
         *(_filters(c, g) if c.filters else ()),
+    ]  # fmt: skip
+
+
+def _context(g: _Group) -> list[Entry]:
+    """What the context monitor says; see docs/context.md."""
+    return [
+        g.flag("context_warning", "the context monitor warns", "belief.context_warning"),
+        g.positive("context_phases", "", 3.0, "number of its phases passed: position, speed, map",
+                   "belief.context_phases"),
+        g.positive("context_score", "", 100.0, "integrity score of the matched link; 0 without a link",
+                   "belief.context_score"),
+        g.positive("link_probability", "", 1.0, "probability of the matched link; 0 without a link",
+                   "belief.link_probability"),
     ]  # fmt: skip
 
 

@@ -133,13 +133,28 @@ class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
     """An IDM driver that never reverses, of a class whose constants highway-env's intersection may change.
 
     highway-env's own drivers reverse where the gap ahead is shorter than the desired one. At a crossing they then back
-    into those behind them.
+    into those behind them. In ``intersection-v2`` they also follow who comes towards them: the exit of an arm ends at
+    the node where its approach begins, so the approach counts as the lane that goes on from the exit. Beside a vehicle
+    that waits at the crossing, one that leaves it then stops for good, and all others behind it.
     """
+
+    def acceleration(
+        self, ego_vehicle: Vehicle | None, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
+    ) -> float:
+        """The acceleration of IDM behind a vehicle that drives ahead, not behind one on the approach of its exit."""
+        if ego_vehicle is not None and front_vehicle is not None and _comes_towards(ego_vehicle, front_vehicle):
+            front_vehicle = None
+        return float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle))
 
     def step(self, dt: float) -> None:
         """Move; braking ends at standstill."""
         _stop_at_rest(self, dt)
         super().step(dt)
+
+
+def _comes_towards(vehicle: Vehicle, other: Vehicle) -> bool:
+    """Whether a vehicle on an exit of the crossing meets the other head on; all others on the exit drive as it does."""
+    return bool(vehicle.lane_index[1].startswith("o") and np.cos(vehicle.heading - other.heading) < 0.0)
 
 
 def _stop_at_rest(vehicle: IDMVehicle, dt: float) -> None:

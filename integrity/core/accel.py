@@ -29,6 +29,7 @@ import numba
 from numba.core import event
 
 from lanebound.integrity.core.kernel_cache import cache_directory, cache_root, locating
+from lanebound.integrity.core.kernel_dispatcher import kernel_of
 
 __all__ = ["LOGGER", "call_links", "jit", "kernels_are_cached", "run_rows", "serial", "thread_count"]
 
@@ -66,14 +67,15 @@ def jit(function: F | None = None, *, inline: bool = False, forceinline: bool = 
             options["forceinline"] = True
         if borrows:
             options["_nrt"] = False
-        directory = _directory(f)
-        if directory is None:
-            return numba.njit(**options)(f)
+        kernel, directory = kernel_of(f, **options), _directory(f)
+        if directory is None or kernel is f:
+            return kernel
         try:
             with locating(directory):
-                return numba.njit(cache=True, **options)(f)
+                kernel.enable_caching()
         except RuntimeError:  # no locator for this file (interactive use): compile in memory
-            return numba.njit(**options)(f)
+            pass
+        return kernel
 
     return wrap if function is None else wrap(function)
 

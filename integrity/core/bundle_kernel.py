@@ -24,10 +24,12 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
+from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.kernel_dispatcher import kernel_of
 from lanebound.integrity.core.records import Records
 
 __all__ = ["Bundle", "RowCopier", "is_ours", "unbundle"]
@@ -95,9 +97,10 @@ def _written(values: Any) -> Records:
     name = f"b{hashlib.blake2b(str(kind).encode(), digest_size=12).hexdigest()}"
     if name not in _types:
         _types[name] = kind
-    size, write = (_size, _write) if is_ours(kind) else (_size_uncached, _write_uncached)
+    write = _write if is_ours(kind) else _write_uncached
     if name not in _sizes:
-        _sizes[name] = int(size(values))
+        context = cpu_target.target_context
+        _sizes[name] = int(context.get_abi_sizeof(context.get_data_type(kind)))
     handle = np.zeros(1, np.dtype([(name, np.int64, (-(-_sizes[name] // 8),))]))
     write(values, handle)
     return handle
@@ -116,16 +119,6 @@ def is_ours(kind: Any) -> bool:
 def _kind_of(handle: Any) -> Any:
     """The Numba type of the values behind a handle."""
     return _types[next(iter(handle.dtype.fields))]
-
-
-@_intrinsic
-def _size_of(typingctx: Any, values: Any) -> Any:
-    """Size of a value in bytes."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return context.get_constant(types.int64, context.get_abi_sizeof(context.get_data_type(values)))
-
-    return types.int64(values), codegen
 
 
 @_intrinsic
@@ -176,14 +169,8 @@ def _copy_rows(targets, sources, rows):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _size(values):  # type: ignore[no-untyped-def]
-    return _size_of(values)
-
-
-@jit(borrows=True)
 def _write(values, handle):  # type: ignore[no-untyped-def]
     _store(values, handle)
 
 
-_uncached: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
-_size_uncached, _write_uncached = numba.njit(**_uncached)(_size.py_func), numba.njit(**_uncached)(_write.py_func)
+_write_uncached = kernel_of(_write.py_func, error_model="numpy", nogil=True, _nrt=False)

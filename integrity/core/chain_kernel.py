@@ -23,11 +23,14 @@ from numba.extending import intrinsic
 
 from lanebound.integrity.core.accel import FASTMATH, jit
 from lanebound.integrity.core.bundle_kernel import Bundle, is_ours, unbundle
+from lanebound.integrity.core.compile_ahead import Ahead
+from lanebound.integrity.core.kernel_dispatcher import kernel_of
 
 __all__ = ["Chain"]
 
 _intrinsic: Callable[[Any], Any] = intrinsic
 _wholes: dict[type, type] = {}
+_ahead: dict[tuple[Any, ...], tuple[Any, Ahead]] = {}
 _kept: list[Any] = []  # kernels whose machine code is called by address
 IN_MEMORY: dict[str, Any] = {"error_model": "numpy", "fastmath": FASTMATH, "nogil": True}
 BORROWING: dict[str, Any] = {**IN_MEMORY, "_nrt": False}
@@ -91,6 +94,13 @@ class Chain:
         self._bound: dict[Any, tuple[Any, np.ndarray[Any, Any]]] = {}
         self._latest: tuple[Any, np.ndarray[Any, Any]] | None = None
 
+    def compile_ahead(self, make: Callable[[], Any]) -> None:
+        """Begin to compile in a second process if no kernel is cached; ``make`` returns data of the expected types."""
+        if self._kernels not in _ahead and Ahead.helps(self._kernels):
+            kind = numba.typeof(make())
+            if is_ours(kind):
+                _ahead[self._kernels] = kind, Ahead(self._kernels, _signature(kind)).start()
+
     def __call__(self, first: int, last: int, lasting: Bundle, inputs: Any) -> None:
         latest, handle = self._latest, lasting.handle
         if latest is not None:
@@ -118,8 +128,11 @@ class Chain:
                 )
             kind = numba.typeof(self._whole(*lasting.values, *inputs))
             _wholes[type(inputs)] = self._whole
-            addresses = np.array([_address(kernel, (types.int64, types.int64, kind)) for kernel in self._kernels])
-            driver = jit(borrows=True)(_run) if is_ours(kind) else numba.njit(**BORROWING)(_run)
+            expected, ahead = _ahead.get(self._kernels, (None, None))
+            if ahead is not None and expected == kind:
+                ahead.finish()
+            addresses = np.array([_address(kernel, _signature(kind)) for kernel in self._kernels])
+            driver = jit(borrows=True)(_run) if is_ours(kind) else kernel_of(_run, **BORROWING)
             driver.compile((numba.typeof(addresses), types.int64, types.int64, *key))
             driver.disable_compile()
             found = self._bound[key] = driver, addresses
@@ -129,11 +142,15 @@ class Chain:
         return Chain, (self._whole, *self._kernels)
 
 
+def _signature(kind: Any) -> tuple[Any, ...]:
+    """Types of the arguments of kernels for a type of data."""
+    return types.int64, types.int64, kind
+
+
 def _address(kernel: Any, signature: tuple[Any, ...]) -> np.uintp:
     """Where the machine code of a kernel for a signature begins; compiled now if it is not yet."""
     if not is_ours(signature[-1]):
-        kernel = numba.njit(**IN_MEMORY)(kernel.py_func)
+        kernel = kernel_of(kernel.py_func, **IN_MEMORY)
         _kept.append(kernel)
-    kernel.compile(signature)
-    compiled = kernel.overloads[signature]
-    return np.uintp(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+    found: np.uintp = kernel.address(signature)
+    return found

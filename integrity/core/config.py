@@ -14,9 +14,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
+from functools import lru_cache
 from typing import Any, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from lanebound.integrity.core.config_errors import explain, model_in
@@ -95,8 +96,8 @@ class Config(BaseModel):
 
     @field_validator("*", mode="wrap")
     @classmethod
-    def _refuse_coercion(cls, raw: Any, handler: Any) -> Any:
-        value = handler(raw)
+    def _refuse_coercion(cls, raw: Any, handler: Any, info: ValidationInfo) -> Any:
+        value = handler(_completed(cls, info.field_name, raw))
         _check_same_kind(raw, value)
         return value
 
@@ -184,6 +185,26 @@ def _merged(model: type[BaseModel] | None, base: Mapping[str, Any], changes: Map
         else:
             merged[key] = value
     return merged
+
+
+def _completed(model: type[BaseModel], name: str | None, raw: Any) -> Any:
+    """A mapping for a field whose default is a configuration of other values than those of its class, on top of it.
+
+    A mapping changes only its own keys: what it leaves out is that of the field's default.
+    """
+    if not isinstance(raw, Mapping) or name is None:
+        return raw
+    own = _own_default(model, name)
+    return raw if own is None else _merged(type(own), own.model_dump(), raw)
+
+
+@lru_cache(maxsize=1024)
+def _own_default(model: type[BaseModel], name: str) -> Config | None:
+    """The default of a field, where it is a configuration that differs from that of its class."""
+    default = model.model_fields[name].default
+    if not isinstance(default, Config) or any(field.is_required() for field in type(default).model_fields.values()):
+        return default if isinstance(default, Config) else None
+    return None if default == type(default)() else default
 
 
 def _check_same_kind(raw: Any, value: Any) -> None:

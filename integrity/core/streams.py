@@ -31,6 +31,8 @@ STREAM_NAMES = (
 ZIGGURAT: NDArray[np.float64] = np.load(str(resources.files("lanebound.integrity.core") / "ziggurat.npy"))
 """(3, 256) tables of normal draws (:func:`~lanebound.integrity.core.streams_kernel.fill`), rounded as in NumPy."""
 
+EVERY_PLACE = np.empty((0, 0), np.bool_)
+
 
 @cache
 def _name_key(name: str) -> int:
@@ -108,6 +110,16 @@ class Streams:
             self._require_undrawn(name, self._generators)
             found = self._states[name] = named_states(self._seeds, name)
         return found
+
+    @property
+    def draws_by_row(self) -> bool:
+        """Whether kernels draw from the states themselves: a generator for each vehicle, or one for all."""
+        return True
+
+    @property
+    def places(self) -> NDArray[np.bool_]:
+        """(n, S) satellites for which each vehicle draws by satellite, zeros for the others; (0, 0): for all."""
+        return EVERY_PLACE
 
     def generator(self, name: str) -> np.random.Generator:
         """Generator of a stream of the first vehicle (or the joint one), for distributions without batch draws.

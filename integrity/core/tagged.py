@@ -99,7 +99,10 @@ class Tagged(Config):
         found = cls.kinds.get(name) if isinstance(name, str) else None
         if found is None:
             known = {kind: kind for kind in sorted({*cls.kinds, *cls.modules})}
-            raise ConfigError(f"{cls.tag} must be one of {', '.join(known)}, got {name!r}: {unknown(str(name), known)}")
+            presets = [preset.rpartition("/")[2] for preset in cls._presets()]
+            also = f", or a preset: {', '.join(presets)}" if presets else ""
+            advice = unknown(str(name), {**known, **dict.fromkeys(presets)})
+            raise ConfigError(f"{cls.tag} must be one of {', '.join(known)}{also}, got {name!r}: {advice}")
         return found  # type: ignore[return-value]
 
     @classmethod
@@ -173,8 +176,18 @@ class Tagged(Config):
         if name in cls.kinds or name in cls.modules or ":" in name:
             return False
         found = [preset for preset in preset_names() if preset.rpartition("/")[2] == name]
-        family = cls.__name__.removesuffix("Config").lower()
-        return len(found) == 1 and str(load_preset(found[0]).get("kind")).partition("/")[0] == family
+        return len(found) == 1 and cls._configures(found[0])
+
+    @classmethod
+    def _configures(cls, preset: str) -> bool:
+        """Whether a preset is one of this family, by its kind: ``navigator`` or ``navigator/filter``."""
+        family = (cls.family or cls).__name__.removesuffix("Config").lower()
+        return str(load_preset(preset).get("kind")).partition("/")[0] == family
+
+    @classmethod
+    def _presets(cls) -> list[str]:
+        """Names of the presets of this family."""
+        return [preset for preset in preset_names() if cls._configures(preset)]
 
     @model_validator(mode="before")
     @classmethod

@@ -22,7 +22,7 @@ from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.monitoring.separation import Separation, separate
 
-__all__ = ["AraimConfig", "AraimLevels", "araim", "enu_levels", "vertical_separation"]
+__all__ = ["AraimConfig", "AraimLevels", "araim", "enu_levels", "levels_at", "vertical_separation"]
 
 Array = NDArray[np.float64]
 
@@ -154,6 +154,23 @@ def enu_levels(
     modes: FaultModes,
 ) -> tuple[Array, Array]:
     """Protection levels of Up (E,) and of East and North (E, 2) by two runs of the kernel.  Shapes as araim."""
+    found = levels_at(los_enu, group, variance_m2, accuracy_m2, bias_m, config, modes, np.ones(1))
+    return found[0][:, 0], found[1][:, 0]
+
+
+def levels_at(
+    los_enu: Array,
+    group: ArrayLike,
+    variance_m2: ArrayLike,
+    accuracy_m2: ArrayLike,
+    bias_m: ArrayLike,
+    config: AraimConfig,
+    modes: FaultModes,
+    times: Array,
+) -> tuple[Array, Array]:
+    """:func:`enu_levels` at several multiples ``times`` (R,) of the risks of the configuration: Up (E, R), and East and
+    North (E, R, 2). The modes and what they leave are the same at all of them, so that one search serves all."""
+    rules = [config.axis_rules(vertical) for vertical in (True, False)]
     levels = [
         protection_levels_batch(
             los_enu[..., UP_FIRST] if vertical else los_enu,
@@ -161,15 +178,16 @@ def enu_levels(
             group,
             variance_m2,
             EAST_RAD,
-            config.axis_rules(vertical),
+            rules[0 if vertical else 1],
+            rules[0 if vertical else 1].integrity_risk * times,
             accuracy_m2=accuracy_m2,
             bias_m=bias_m,
             spent=modes.unmonitored * (1.0 if vertical else config.horizontal_risk / config.risk),
             subsets=modes.take(modes.several),
-        ).root_m[:, 0]
+        ).root_m
         for vertical in (True, False)
     ]
-    return levels[0][:, 0], levels[1]
+    return levels[0][..., 0], levels[1]
 
 
 def vertical_separation(

@@ -34,7 +34,6 @@ __all__ = [
     "normal_threshold",
     "separate",
     "separation_test",
-    "w_statistics",
     "w_test",
 ]
 
@@ -209,13 +208,6 @@ def global_test(adjustment: Adjustment, significance: ArrayLike) -> TestResult:
     statistic = np.maximum((adjustment.residual * adjustment.score).sum(-1), 0.0)
     threshold = chi2_threshold(significance, adjustment.df)
     return _result(statistic, threshold, adjustment.df >= 1, adjustment.solvable)
-
-
-def w_statistics(adjustment: Adjustment) -> Array:
-    """Signed ``w = c'We / sqrt(c'W Q_e W c)`` of each row (..., m), N(0, 1); 0 if unchecked (S1 eq 14)."""
-    redundancy = _diagonal(adjustment.reliability)
-    testable = redundancy > RANK_TOLERANCE * _diagonal(adjustment.weight)
-    return np.where(testable, adjustment.score / np.sqrt(np.where(testable, redundancy, 1.0)), 0.0)
 
 
 def _diagonal(matrix: Array) -> Array:

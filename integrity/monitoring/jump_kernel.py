@@ -15,14 +15,15 @@ returns to the backup solution. What follows a contradiction:
    more often than all signals together. Meanwhile Doppler, which uses the same signals, neither moves the position nor
    calibrates the heading.
 3. The same follows when Doppler and odometer contradict each other while RTK continues: one of them is wrong, and RTK
-   may be wrong together with Doppler.
+   may be wrong together with Doppler. It follows, too, when RTK drifts away from the path by gyro and odometer
+   (:mod:`lanebound.integrity.positioning.drift_watch_kernel`); the levels then also cover by how much it had drifted.
 4. In all these cases the position continues with the remaining sensors, under an alert, and the levels cover both
    histories: that of dead reckoning, which grows, and that of RTK at the difference ``D``.
 5. After the quarantine RTK is used again, wherever it is: the monitor cannot distinguish a spoofer that waits as long
    from a repair.
 
-Not detected: a fault that exists at the first fix; a fault that moves Doppler too; a drift that stays within the levels
-of RTK and of the backup solution for ten seconds.
+Not detected: a fault that exists at the first fix; a drift that stays within the levels of RTK and of the backup
+solution for ten seconds, and within the limits of the drift watch.
 """
 
 from __future__ import annotations
@@ -59,6 +60,9 @@ JUMP = record(
     left_s="remaining time of the quarantine [s]",
     d_e="D, RTK position less the expected one, East [m]",
     d_n="D, North [m]",
+    drifts=("?", "the drift watch contradicts RTK in this epoch"),
+    drift_e="by how much RTK had drifted when it was found, East [m]",
+    drift_n="the same, North [m]",
 )
 """State of the jump monitor."""
 
@@ -98,6 +102,7 @@ def suspects_signals(jump: Any) -> bool:
 def clear(jump: Any) -> None:
     """No contradiction is known."""
     jump.stage, jump.left_s, jump.d_e, jump.d_n = TRUSTED, 0.0, 0.0, 0.0
+    jump.drift_e, jump.drift_n = 0.0, 0.0
 
 
 @jit(borrows=True)
@@ -120,7 +125,7 @@ def judge_jump(
     ----------
     expected, found : (2,) levels AT, CT of the expected and of the RTK position [m], inf where there is none.
     lasting : the epoch before had an RTK position as well.
-    conflict : Doppler and odometer have contradicted each other for a while.
+    conflict : Doppler and odometer have contradicted each other for a while, or RTK has drifted.
     after_jump_s, after_outage_s : lengths of the two quarantines [s].
     jump : JUMP, advanced in place.
     """
@@ -152,8 +157,12 @@ def judge_jump(
 
 @jit(borrows=True)
 def widen(sin_h: float, cos_h: float, found: Array, jump: Any, pl: Array) -> None:
-    """Widen the levels of dead reckoning pl (R, 2) in place to cover RTK's history too, of levels ``found`` (R, 2)."""
+    """Widen the levels of dead reckoning pl (R, 2) in place to cover RTK's history too, of levels ``found`` (R, 2).
+
+    A drift that was found may have begun before the backup solution did: its size is added.
+    """
     at, ct = along_across(jump.d_e, jump.d_n, sin_h, cos_h)
+    drift_at, drift_ct = along_across(jump.drift_e, jump.drift_n, sin_h, cos_h)
     for r in range(pl.shape[0]):
-        pl[r, 0] += at + found[r, 0]
-        pl[r, 1] += ct + found[r, 1]
+        pl[r, 0] += at + drift_at + found[r, 0]
+        pl[r, 1] += ct + drift_ct + found[r, 1]

@@ -17,6 +17,7 @@ from pydantic import model_validator
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import deep_merge
 from lanebound.integrity.monitoring.alerts import AlertReason, AlertState, step
 from lanebound.integrity.monitoring.family.budget import CodeBudget
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
@@ -27,6 +28,7 @@ from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.levels import normal_factor
 from lanebound.integrity.monitoring.family.monitor import MEMORY, watch
 from lanebound.integrity.monitoring.family.rejection import global_threshold
+from lanebound.integrity.navigators.context_guard import CONTEXT
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, register_navigator
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.config import bound_correlation
@@ -45,7 +47,7 @@ CALIBRATE_MPS, AGREE_MPS = 2.0, 1.5  # speed from which Doppler gives a heading,
 class MonitorChoice(Config):
     """A monitor of the family, and the figures in which it differs from its kind; None: those of the kind."""
 
-    kind: str = Field("separation_fde", description="kind of the monitor; see 'lanebound monitors'")
+    kind: str = Field("separation_fde", description="kind of the monitor, see 'lanebound monitors'; or context")
     false_alarm: float | None = Field(None, gt=0, lt=1, description="P_FA of its test at an epoch [-]")
     satellite_prior: float | None = Field(None, gt=0, lt=1, description="P(fault) of a code [-]")
     code_sigma_m: float | None = Field(None, gt=0, description="deviation of its weight model at 45 dB-Hz [m]")
@@ -55,6 +57,11 @@ class MonitorChoice(Config):
     @model_validator(mode="after")
     def _guards_an_epoch_alone(self) -> MonitorChoice:
         kind, there = monitor_named(self.kind), {"codes", "fit"}
+        if "fixed" in kind.needs:
+            raise ConfigError(
+                f"kind must be a monitor of codes, got {self.kind!r}, of fixed carriers: 'navigator: {{kind: "
+                "rtk_reckoning}' is that monitor in a drive, with the risk of its fixes"
+            )
         memory = {level.value for level in MEMORY}
         if not there.issuperset(kind.needs) or kind.changes.get("level") in memory:
             raise ConfigError(
@@ -88,7 +95,8 @@ class MonitoredCodesConfig(NavigatorConfig):
     @model_validator(mode="before")
     @classmethod
     def _with_codes(cls, data: Any) -> Any:
-        """Undifferenced codes are computed, whatever the instruments of a sky say."""
+        """Undifferenced codes are computed, whatever the instruments of a sky say; monitor ``context`` is two."""
+        data = with_context(data)
         given = data.get("gnss") if isinstance(data, Mapping) else None
         if isinstance(given, Mapping):
             return {**data, "gnss": {**given, "undifferenced": True}}
@@ -104,6 +112,21 @@ class MonitoredCodesConfig(NavigatorConfig):
                 f"{self.positioning.lever_arm_m}: this kind positions the antenna; set both to 0"
             )
         return self
+
+
+def with_context(data: Any) -> Any:
+    """Data with ``monitor: {kind: context, ...}`` as those of its parts: weighted RAIM (S5 equations 1 to 4) for the
+    position, and the context monitor, which raises alerts."""
+    monitor = data.get("monitor") if isinstance(data, Mapping) else None
+    if not isinstance(monitor, Mapping) or monitor.get("kind") != CONTEXT:
+        return data
+    own = {key: value for key, value in monitor.items() if key in MonitorChoice.model_fields}
+    more = {key: value for key, value in monitor.items() if key not in own}
+    given = data.get("context")
+    given = given.to_dict() if isinstance(given, Config) else given
+    return {
+        **data, "monitor": {**own, "kind": "weighted"}, "context": deep_merge({"alerts": True, **(given or {})}, more)
+    }  # fmt: skip
 
 
 @dataclass

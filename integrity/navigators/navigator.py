@@ -30,8 +30,10 @@ from lanebound.integrity.monitoring.exclusion import FdeConfig
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.motion.truth_kernel import all_finite
+from lanebound.integrity.navigators.context_guard import ContextGuard, ContextGuardConfig, GuardState
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.config import PositioningConfig
+from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
 from lanebound.integrity.sensors.area import initial_area
@@ -118,6 +120,9 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
         (), description="further protection levels to report beside the operative one"
     )
     alert: AlertConfig = AlertConfig()
+    context: ContextGuardConfig | None = Field(
+        None, description="context-aware monitor of code positions, Doppler speed and road beside this navigator"
+    )
 
     @model_validator(mode="after")
     def _levels_fit_the_tests(self) -> Self:
@@ -134,6 +139,11 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
         return self.gnss
 
     @property
+    def simulated(self) -> GnssConfig:
+        """``receiver``, with the undifferenced codes that the context monitor needs."""
+        return self.receiver if self.context is None else self.receiver.replace(undifferenced=True)
+
+    @property
     def cases(self) -> tuple[PlCase, ...]:
         """All protection levels reported, the operative one first."""
         first = PlCase(integrity_risk=self.risk.integrity_risk, variant=self.risk.variant, form=self.form)
@@ -145,11 +155,13 @@ class NavigatorState(InstrumentState):
     """Everything that lasts from epoch to epoch: the state of the instruments, and the belief of the navigator.
 
     ``belief`` is a NamedTuple or dataclass of arrays with the vehicles as first axis; its type belongs to the kind.
-    ``extensions`` holds the arrays (B,) of modes and monitors with a state of their own, by name.
+    ``extensions`` holds the arrays (B,) of modes and monitors with a state of their own, by name; ``guard`` what lasts
+    of the context monitor.
     """
 
     belief: Any
     extensions: dict[str, NDArray[Any]]
+    guard: GuardState | None = None
 
     def copy(self) -> NavigatorState:
         """An independent copy."""
@@ -230,8 +242,9 @@ class Navigator:
         self.faults = faults or FaultSchedule(())
         self._lever_m = config.positioning.lever_arm_m
         self._instruments = Instruments.of(
-            config.receiver, config.corrections, config.imu, config.odometer, config.dt_s, config.sky.place_rad
+            config.simulated, config.corrections, config.imu, config.odometer, config.dt_s, config.sky.place_rad
         )
+        self._guard: ContextGuard | None = None
         self.prepare()
         area = Streams(seeds, batch) if area_seed is None else Streams([area_seed])
         self.state = self._initial(Streams(seeds, batch), area)
@@ -275,12 +288,12 @@ class Navigator:
 
     def _initial(self, streams: Streams, area_streams: Streams) -> NavigatorState:
         c, batch, n_sat = self.config, streams.batch, len(self.track.system)
-        area = initial_area(c.receiver, c.corrections, n_sat, c.dt_s, area_streams)
+        area = initial_area(c.simulated, c.corrections, n_sat, c.dt_s, area_streams)
         sky = self.track.at(self.track.start_s, np.zeros(batch, dtype=np.int64))
         return NavigatorState(
             streams=streams,
             area=area,
-            gnss=receiver.initial_state(c.receiver, sky, streams),
+            gnss=receiver.initial_state(c.simulated, sky, streams),
             corrections=links.initial_state(c.corrections, area.network, n_sat, c.dt_s, streams),
             imu=initial_imu(c.imu, streams),
             odometer=initial_odometer(c.odometer, streams),
@@ -288,7 +301,17 @@ class Navigator:
             compass=initial_compass(c.compass, streams) if c.compass.fitted else None,
             belief=self.initial_belief(batch),
             extensions=self.initial_extensions(batch),
+            guard=None if self._guard is None else self._guard.initial(batch),
         )
+
+    def use_map(self, road_map: RoadMap, one_in: int = 1) -> None:
+        """Give the context monitor its road network, before the first epoch; without ``context`` nothing happens.
+
+        ``one_in``: only every so manieth vehicle is monitored, beginning with the first.
+        """
+        if self.config.context is not None:
+            self._guard = ContextGuard(self.config.context, road_map, self.config.dt_s, one_in)
+            self.state.guard = self._guard.initial(self.batch)
 
     @property
     def batch(self) -> int:
@@ -358,6 +381,8 @@ class Navigator:
         self.place_rows(rows, position, heading, sigma_m, sigma_heading_rad)
         for name, fresh in self.initial_extensions(1).items():
             self.state.extensions[name][rows] = fresh
+        if self._guard is not None and self.state.guard is not None:
+            self._guard.forget(self.state.guard, rows)
         self.state.odometer.wheels["last_true_mps"][rows] = np.nan  # no acceleration, so no slip, in the first epoch
 
     def snapshot(self) -> NavigatorState:
@@ -376,7 +401,22 @@ class Navigator:
         InputError
             When the truth has another batch or epoch length, or lies outside the sky track.
         """
-        return self.locate(self.measure(truth))
+        return self.solve(self.measure(truth))
+
+    def solve(self, m: Measurements) -> Solution:
+        """:meth:`locate`, and the report of the context monitor where ``context`` is configured.
+
+        Raises
+        ------
+        InputError
+            The context monitor has no map: :meth:`use_map` gives one.
+        """
+        solution = self.locate(m)
+        if self.config.context is None:
+            return solution
+        if self._guard is None or self.state.guard is None:
+            raise InputError("context needs a road map, got none: give one by use_map, or leave navigator.context out")
+        return self._guard.judge(self.state.guard, m, solution)
 
     def measure(self, truth: Truth, sky: SkyView | None = None) -> Measurements:
         """The measurements of this epoch; nothing else reads the truth.

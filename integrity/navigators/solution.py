@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Self
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,37 @@ from lanebound.integrity.positioning.rtk_status import RtkStatus
 if TYPE_CHECKING:
     from lanebound.integrity.sensors.instruments import Measurements
 
-__all__ = ["Solution"]
+__all__ = ["ContextReport", "Solution"]
 
 Array = NDArray[np.float64]
+
+
+class ContextReport(NamedTuple):
+    """What a context monitor says of B vehicles; it holds until the next verdict.
+
+    context_warning (B,) bool; context_phases (B,) phases passed, 0 to 3; context_score (B,) 0 to 100; link_probability
+    (B,) of the matched link; light, reason (B,) codes of Light and ContextReason; link (B,) identity in the map, -1
+    without.
+    """
+
+    context_warning: NDArray[np.bool_]
+    context_phases: NDArray[np.int64]
+    context_score: Array
+    link_probability: Array
+    light: NDArray[np.int64]
+    reason: NDArray[np.int64]
+    link: NDArray[np.int64]
+
+    def rows(self, rows: NDArray[np.int64]) -> ContextReport:
+        """The reports of some vehicles."""
+        return ContextReport(**{name: value[rows] for name, value in self._asdict().items()})
+
+    @classmethod
+    @lru_cache(maxsize=16)
+    def none(cls, batch: int) -> ContextReport:
+        """Without a monitor: no warning. Not to be written."""
+        whole, zero = np.zeros(batch, np.int64), np.zeros(batch)
+        return cls(np.zeros(batch, np.bool_), whole, zero, zero, whole, whole, whole - 1)
 
 
 @dataclass(frozen=True)
@@ -52,6 +81,7 @@ class Solution:
     nis_position, nis_wheels : (B,) normalised innovation squared of the last GNSS position and of the last wheel speed
         of a filter; 0 before, and of other kinds
     trust_m : (B,) horizontal trust level of a filter; inf without one, and of other kinds
+    context : of the context monitor, None without one
     """
 
     time_s: float
@@ -84,6 +114,7 @@ class Solution:
     nis_position: Array
     nis_wheels: Array
     trust_m: Array
+    context: ContextReport | None = None
 
     @classmethod
     def blank(cls, m: Measurements, levels: int) -> Self:
@@ -105,6 +136,7 @@ class Solution:
         """The solutions of some vehicles."""
         values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
         chosen: dict[str, Any] = {name: v[rows] if isinstance(v, np.ndarray) else v for name, v in values.items()}
+        chosen["context"] = None if self.context is None else self.context.rows(rows)
         return Solution(**chosen)
 
     @property

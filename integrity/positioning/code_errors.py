@@ -62,7 +62,7 @@ class CodeErrorBudget(Config):
         0.0,
         ge=0,
         description="further multipath where surroundings reflect, zenith [m]; RMS of L1 codes from 36 dB-Hz on in "
-        "simulated streets, seed 101: suburban 0.2, urban 0.7, dense 1.4; open sky 0",
+        "simulated streets, seed 101: suburban 0.2, urban 0.7, dense 1.4, of all tracked 0.4, 1.6, 2.7; open sky 0",
     )
     phase_m: float = Field(0.005, gt=0, description="carrier of one band, zenith [m]; S3 Table III 3 and 2 mm, rounded")
     cn0_knee_dbhz: float = Field(35.0, ge=0, description="C/N0 at which the variance doubles [dB-Hz]; as RTK")

@@ -12,13 +12,14 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field, field_validator
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtri
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.doubtful_kernel import DOUBT_RULES
+from lanebound.integrity.positioning.drift_watch_kernel import DRIFT_RULES
 from lanebound.integrity.positioning.heading_kernel import CALIBRATION
 from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
 from lanebound.integrity.positioning.odometer_watch_kernel import WATCH_LIMITS
@@ -30,6 +31,7 @@ __all__ = [
     "DeadReckoningConfig",
     "DopplerConfig",
     "DoubtConfig",
+    "DriftWatchConfig",
     "FloatConfig",
     "HeadingConfig",
     "ModeConfig",
@@ -38,6 +40,7 @@ __all__ = [
     "RtkConfig",
     "bound_correlation",
     "calibration_parameters",
+    "drift_parameters",
     "mode_parameters",
     "overbounding_walk",
     "rtk_parameters",
@@ -101,6 +104,34 @@ class FloatConfig(Config):
         0.0, ge=0, description="residual vertical ionosphere of a single difference, 1 sigma on the first band [m]"
     )
     troposphere_m: float = Field(0.0, ge=0, description="residual zenith delay difference, 1 sigma [m]")
+
+
+class DriftWatchConfig(Config):
+    """The drift watch (:mod:`.drift_watch_kernel`)."""
+
+    window_s: float = Field(
+        16.0,
+        ge=0,
+        description="longest window over which RTK is compared with the path by gyro and odometer [s]; 0: off",
+    )
+    windows: int = Field(16, ge=2, le=64, description="windows of different lengths that are compared at once [-]")
+    false_alarms_per_h: float = Field(
+        0.1,
+        gt=0,
+        description="false alarms of a vehicle that drives with RTK for an hour, at most [1/h]; one costs "
+        "jump_quarantine_s of RTK, so 1.7e-3 of the time",
+    )
+    scale_walk: float = Field(
+        3e-5, ge=0, description="random walk of the odometer's scale [1/sqrt(s)]; 0.1 % in 1000 s, tyres that warm up"
+    )
+    slip_s2_per_m: float = Field(
+        0.002, ge=0, description="bound of the wheels' slip per acceleration [s^2/m]; twice 3 to 4 % at 1 g, linear"
+    )
+
+    @property
+    def anchors(self) -> int:
+        """Anchors that a vehicle has."""
+        return self.windows if self.window_s > 0.0 else 0
 
 
 class RtkConfig(Config):
@@ -189,6 +220,7 @@ class RtkConfig(Config):
     hold_failures: int = Field(
         2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
     )
+    drift: DriftWatchConfig = DriftWatchConfig()
     doubt: DoubtConfig = DoubtConfig()
     float_solution: FloatConfig = FloatConfig()
 
@@ -448,6 +480,31 @@ def calibration_parameters(config: HeadingConfig) -> Records:
         speed_agreement=config.speed_agreement_mps,
         max_hdop=config.max_hdop,
         max_jump=np.deg2rad(config.max_jump_deg),
+    )
+
+
+def drift_parameters(p: PositioningConfig, dt_s: float) -> Records:
+    """DRIFT_RULES (1,) of :mod:`.drift_watch_kernel`.
+
+    The union bound of false alarms is over epochs, windows, two axes and two signs. A bias of every satellite moves a
+    position by at most about twice its size, at both ends of a window.
+    """
+    c, o = p.rtk.drift, p.dead_reckoning
+    return one_record(
+        DRIFT_RULES,
+        spacing=c.window_s / c.windows,
+        window=c.window_s,
+        k=-ndtri(c.false_alarms_per_h * dt_s / 3600.0 / (4.0 * c.windows)),
+        scale=o.odometer_scale,
+        scale_walk=c.scale_walk,
+        slip=c.slip_s2_per_m,
+        sigma=o.odometer_sigma_mps,
+        tau=o.odometer_tau_s,
+        bias=o.odometer_bias_mps,
+        creep=o.standstill_speed_mps,
+        axle=p.axle_bound_m,
+        heading_drift=np.deg2rad(o.heading_drift_degps),
+        phase=4.0 * p.rtk.phase_bias_m,
     )
 
 

@@ -44,6 +44,7 @@ class Mode(int, metaclass=_ModeTable):
 
     key: str
     label: str
+    serves: bool
 
     def __new__(cls, code: int) -> Mode:
         found = cls.members.get(int(code))
@@ -52,8 +53,10 @@ class Mode(int, metaclass=_ModeTable):
         return found
 
     @classmethod
-    def register(cls, key: str, label: str) -> Mode:
+    def register(cls, key: str, label: str, serves: bool = False) -> Mode:
         """Add a mode, with the next code; the same mode when the key is known already.
+
+        ``serves`` marks the mode of a positioning service other than RTK from one station.
 
         Raises
         ------
@@ -66,7 +69,7 @@ class Mode(int, metaclass=_ModeTable):
                     raise InputError(f"label of mode {key!r} must be {mode.label!r}, got {label!r}: choose another key")
                 return mode
         mode = int.__new__(cls, len(cls))  # codes are rows of tables, so they leave no gap
-        mode.key, mode.label = key, label
+        mode.key, mode.label, mode.serves = key, label, serves
         cls.members[int(mode)] = mode
         return mode
 
@@ -95,7 +98,7 @@ class Mode(int, metaclass=_ModeTable):
     @property
     def is_service(self) -> bool:
         """Whether the position is that of a positioning service other than RTK from one station."""
-        return codes.SPP <= int(self) <= codes.NRTK
+        return self.serves
 
     @property
     def value(self) -> int:
@@ -131,4 +134,5 @@ BUILT_IN = {
     codes.NRTK: ("nrtk", "network RTK"),
 }
 for _code in sorted(BUILT_IN):
-    setattr(Mode, BUILT_IN[_code][0].upper(), Mode.register(*BUILT_IN[_code]))
+    _mode = Mode.register(*BUILT_IN[_code], serves=codes.SPP <= _code <= codes.NRTK)
+    setattr(Mode, BUILT_IN[_code][0].upper(), _mode)

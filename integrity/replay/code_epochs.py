@@ -22,7 +22,7 @@ from lanebound.integrity.replay.reckoning import reckon
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.window import LocalFrame
 
-__all__ = ["TrackedEpochs", "path_headings", "reckoned_steps", "recorded_epochs"]
+__all__ = ["WINDOW_S", "TrackedEpochs", "fit_heading", "path_headings", "reckoned_steps", "recorded_epochs"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -150,14 +150,20 @@ def path_headings(time_s: Array, path: Array, fix: Array) -> tuple[Array, Array]
     first = np.searchsorted(time_s, time_s - WINDOW_S)
     for k in range(1, count):
         own = slice(int(first[k]), k)  # the epoch itself stays out, so that its error is not in its own step
-        p, x = path[own] - path[own].mean(0), fix[own] - np.median(fix[own], 0)
-        along, across = float((x * p).sum()), float((x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0]).sum())
-        size = float(np.square(p).sum())
-        if size <= 0.0:
-            continue
-        turn[k] = np.arctan2(across, along)
-        c, s = np.cos(turn[k]), np.sin(turn[k])
-        off = x - np.stack([c * p[:, 0] + s * p[:, 1], c * p[:, 1] - s * p[:, 0]], -1)
-        alike = max(1.0, LASTING_S / max(float(np.median(np.diff(time_s))), 1e-3))
-        spread[k] = np.sqrt(float(np.square(off).sum()) / max(len(p), 1) * alike / size)
+        turn[k], spread[k] = fit_heading(time_s[own], path[own], fix[own])
     return turn, spread
+
+
+def fit_heading(time_s: Array, path_m: Array, fix_en_m: Array) -> tuple[float, float]:
+    """Angle by which a path (n, 2) is turned clockwise to fit positions (n, 2), and its deviation [rad], inf without
+    motion."""
+    p, x = path_m - path_m.mean(0), fix_en_m - np.median(fix_en_m, 0)
+    along, across = float((x * p).sum()), float((x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0]).sum())
+    size = float(np.square(p).sum())
+    if size <= 0.0:
+        return 0.0, float("inf")
+    turn = float(np.arctan2(across, along))
+    c, s = np.cos(turn), np.sin(turn)
+    off = x - np.stack([c * p[:, 0] + s * p[:, 1], c * p[:, 1] - s * p[:, 0]], -1)
+    alike = max(1.0, LASTING_S / max(float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0, 1e-3))
+    return turn, float(np.sqrt(float(np.square(off).sum()) / max(len(p), 1) * alike / size))

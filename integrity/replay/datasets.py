@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +43,13 @@ def replay_folder(
     out: Path,
     changes: Mapping[str, Any] | None = None,
     progress: Progress = silent,
+    service: Sequence[str] = (),
     navigator: str | None = None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a data set; returns the statistics and the files written into ``out``.
+
+    With ``service`` the recording runs through a navigator with these positioning services (:mod:`.service_report`),
+    and ``changes`` are those of its configuration.
 
     ``changes`` are overrides of the configuration of the kind: :class:`~.city_report.CityReplay`,
     :class:`~.outages.OutageConfig` or :class:`~.baseline.BaselineConfig`. ``progress`` is called with the number of
@@ -58,6 +62,10 @@ def replay_folder(
         The folder is of no known kind, or a file or a change is invalid.
     """
     kind, changed = kind_of(folder), dict(changes or {})
+    if service:
+        from lanebound.integrity.replay.service_report import write_service
+
+        return write_service(folder, kind, service, out, changed, progress)
     if navigator is not None:
         if kind == "rinex":
             raise InputError("navigator must be left out for RINEX, which has no wheels and no gyro, "

@@ -21,7 +21,7 @@ from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.signal_choice import choose_signals
 from lanebound.integrity.sky.broadcast import Ephemerides, read_navigation
 
-__all__ = ["PairFiles", "find_pair", "observation_files"]
+__all__ = ["PairFiles", "find_pair", "navigation_files", "observation_files"]
 
 NAMES = {"rover": ("rover", "rov", "mobile"), "base": ("base", "ref", "station")}
 MOVES_M = 15.0  # spread of code positions, 90 % of them, of a receiver that moves; noise is a few metres
@@ -36,10 +36,31 @@ class PairFiles:
     base: Path
     navigation: list[Path]
 
+    @property
+    def paths(self) -> tuple[Path, Path | None, list[Path]]:
+        """Rover, base and navigation."""
+        return self.rover, self.base, self.navigation
+
 
 def observation_files(folder: Path) -> list[Path]:
     """The RINEX observation files in a folder, in the order of their names."""
     return _of_type(folder, "O")
+
+
+def navigation_files(folder: Path) -> list[Path]:
+    """The RINEX navigation files in a folder, in the order of their names.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    found = _of_type(folder, "N")
+    if not found:
+        raise InputError(
+            f"{folder} must hold a RINEX navigation file beside its observations, has none: add one, such as base.nav"
+        )
+    return found
 
 
 def _of_type(folder: Path, kind: str) -> list[Path]:
@@ -61,11 +82,7 @@ def find_pair(folder: Path) -> PairFiles:
     InputError
         There are not two observation files and a navigation file, or it is not clear which receiver is the rover.
     """
-    files, navigation = observation_files(folder), _of_type(folder, "N")
-    if not navigation:
-        raise InputError(
-            f"{folder} must hold a RINEX navigation file beside its observations, has none: add one, such as base.nav"
-        )
+    files, navigation = observation_files(folder), navigation_files(folder)
     named = {
         role: [p for p in files if any(p.name.lower().startswith(n) for n in names)] for role, names in NAMES.items()
     }

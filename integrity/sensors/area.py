@@ -100,7 +100,7 @@ def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, 
         network.epoch += 1
         if state.broadcast is not None:
             config.broadcast.advance(state.broadcast, dt_s, state.streams)
-        if type(state.streams) is Streams:
+        if state.streams.draws_by_row:
             kernel.advance(network.epoch, bundle.handle)
         else:
             _draw(bundle.values, state)
@@ -129,6 +129,7 @@ def _rows_of(rules: Records, link_rules: Records, state: AreaState) -> kernel.Ar
     noise = np.zeros((areas, satellites), gk.STATION_NOISE)
     draws = kernel.AreaDraws(
         table=ZIGGURAT,
+        places=state.streams.places,
         atmosphere_states=states("atmosphere"),
         station_states=states("station"),
         network_states=states("network"),

@@ -11,7 +11,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.bundle_kernel import unbundle
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.sensors.corrections_kernel import NetworkRows, advance_network
-from lanebound.integrity.sensors.draws_kernel import draw_normals
+from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_normals_at
 from lanebound.integrity.sensors.gnss_kernel import BANDS, SLOW, gauss_markov
 
 __all__ = ["AREA_RULES", "PROCESSES", "AreaDraws", "AreaRows", "advance"]
@@ -34,11 +34,12 @@ AREA_RULES = record(
 class AreaDraws(NamedTuple):
     """Generators of A areas (A, 4), or one for all (1, 4), and arrays for the draws of an epoch.
 
-    table of :func:`~lanebound.integrity.core.streams_kernel.fill`; atmosphere (A, S); noise (A, S) of STATION_NOISE and
-    the same memory as (A, 4 S); clock, outages (A, 2).
+    table of :func:`~lanebound.integrity.core.streams_kernel.fill`; places (A, S) of the satellites to draw for, (0, 0)
+    for all; atmosphere (A, S); noise (A, S) of STATION_NOISE and the same memory as (A, 4 S); clock, outages (A, 2).
     """
 
     table: Array
+    places: NDArray[np.bool_]
     atmosphere_states: Words
     station_states: Words
     network_states: Words
@@ -96,9 +97,9 @@ def write_message(slow, noise, message):  # type: ignore[no-untyped-def]
 def draw_stations(first, last, area):  # type: ignore[no-untyped-def]
     """The draws of areas ``first`` to ``last - 1`` after their network."""
     draws = area.draws
-    draw_normals(first, last, draws.atmosphere_states, draws.table, draws.atmosphere)
+    draw_normals_at(first, last, draws.atmosphere_states, draws.places, draws.table, draws.atmosphere)
     if area.network.fresh[first]:
-        draw_normals(first, last, draws.station_states, draws.table, draws.noise_normals)
+        draw_normals_at(first, last, draws.station_states, draws.places, draws.table, draws.noise_normals)
     draw_normals(first, last, draws.station_states, draws.table, draws.clock)
 
 

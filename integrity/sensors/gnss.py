@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError
@@ -208,6 +208,13 @@ class GnssConfig(Config):
     )
     broadcast: BroadcastConfig = Field(BroadcastConfig(), description="their errors after broadcast corrections")
     augmentation: AugmentationConfig = Field(AugmentationConfig(), description="providers of corrections for services")
+
+    @field_validator("bands")
+    @classmethod
+    def _bands_differ(cls, value: tuple[int, ...]) -> tuple[int, ...]:
+        if len(set(value)) < len(value):
+            raise ValueError(f"bands must differ, got {list(value)}: name each one once")
+        return value
 
     @property
     def station_parts(self) -> dict[str, float]:

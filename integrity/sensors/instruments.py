@@ -156,7 +156,7 @@ class Instruments:
         epoch = SensedEpoch(
             s.area.network.epoch, sky.rows, motion_rows(truth), effect_rows(effects), gnss, imu, odometer
         )
-        if type(s.streams) is not Streams:
+        if not s.streams.draws_by_row:
             self._draw(s.streams, rows)
         elif rows.draws.gnss.shape[0] != batch:
             draw(0, batch, bundle.handle)
@@ -208,9 +208,10 @@ class Instruments:
         return InstrumentRows(
             draws=Draws(
                 table=ZIGGURAT,
+                places=s.streams.places,
                 gnss=states("gnss"),
                 clock=states("clock"),
-                corrections=states("corrections"),
+                corrections=states("corrections") if self.corrections.outage_per_h > 0.0 else NO_STATES,
                 imu=states("imu"),
                 odometer=states("odometer"),
                 gnss_normals=flat(normals),
@@ -234,4 +235,4 @@ class Instruments:
 
 def _states_of(streams: Streams) -> Callable[[str], NDArray[np.uint64]]:
     """The generators by name that the kernel draws from; none of streams that draw in a way of their own."""
-    return streams.states if type(streams) is Streams else lambda name: NO_STATES
+    return streams.states if streams.draws_by_row else lambda name: NO_STATES

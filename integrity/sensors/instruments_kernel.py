@@ -12,7 +12,7 @@ from lanebound.integrity.core.bundle_kernel import unbundle
 from lanebound.integrity.sensors import corrections_kernel as link_kernel
 from lanebound.integrity.sensors import imu_kernel, odometer_kernel
 from lanebound.integrity.sensors.corrections_kernel import LinkRows
-from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_uniforms
+from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_normals_at, draw_uniforms, draw_uniforms_at
 from lanebound.integrity.sensors.gnss_kernel import (
     EffectRows,
     GnssOutputs,
@@ -33,11 +33,13 @@ Words = NDArray[np.uint64]
 class Draws(NamedTuple):
     """Generators of B vehicles (B, 4), or one for all (1, 4), and the draws of the receiver as flat arrays.
 
-    table of :func:`~lanebound.integrity.core.streams_kernel.fill`; gnss_normals (B, 10 S), gnss_uniforms (B, 2 S),
-    imu_normals (B, 30): the same memory as the draws of the receivers and of the inertial sensors.
+    table of :func:`~lanebound.integrity.core.streams_kernel.fill`; places (B, S) of the satellites to draw for, (0, 0)
+    for all; gnss_normals (B, 10 S), gnss_uniforms (B, 2 S), imu_normals (B, 30): the same memory as the draws of the
+    receivers and of the inertial sensors.
     """
 
     table: Array
+    places: NDArray[np.bool_]
     gnss: Words
     clock: Words
     corrections: Words
@@ -80,8 +82,8 @@ def draw_rows(first, last, rows):  # type: ignore[no-untyped-def]
         draw_uniforms(first, last, draws.corrections, link.uniforms)
         draw_normals(first, last, draws.corrections, draws.table, link.normals)
     draw_normals(first, last, draws.clock, draws.table, rows.receivers.clock_normals)
-    draw_normals(first, last, draws.gnss, draws.table, draws.gnss_normals)
-    draw_uniforms(first, last, draws.gnss, draws.gnss_uniforms)
+    draw_normals_at(first, last, draws.gnss, draws.places, draws.table, draws.gnss_normals)
+    draw_uniforms_at(first, last, draws.gnss, draws.places, draws.gnss_uniforms)
     draw_normals(first, last, draws.imu, draws.table, draws.imu_normals)
     draw_normals(first, last, draws.odometer, draws.table, rows.odometer.normals)
 

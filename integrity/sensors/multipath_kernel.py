@@ -27,8 +27,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
 
@@ -37,7 +35,6 @@ __all__ = [
     "MOST_ARRIVALS",
     "Composite",
     "Loops",
-    "arrivals_of",
     "code_delay",
     "combine",
     "follow_carrier",
@@ -192,8 +189,3 @@ def follow_carrier(arrivals, count, tracked, loops, last_m):  # type: ignore[no-
         return carrier
     began = main.before_m + wave * (main.phase_rad + first) / TWO_PI
     return carrier + wave * math.floor((last_m - began) / wave + 0.5)
-
-
-def arrivals_of(*rows: tuple[float, float, float, float]) -> Any:
-    """Records ARRIVAL from rows (amplitude, phase, excess, rate), new in this epoch, for tests and notebooks."""
-    return np.array([(*row, row[2]) for row in rows], dtype=ARRIVAL)

@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from highway_env.vehicle.behavior import IDMVehicle
 
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.crossing import YieldConfig, yield_speed
 from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.observation import ObservationConfig
+from lanebound.envs.worlds.drivers import IntersectionDriver
 
 C = YieldConfig()
 
@@ -58,7 +60,7 @@ def test_whoever_crosses_when_the_ego_would_be_there_is_given_way(reader):
 
 def test_it_waits_before_the_junction_not_inside(reader):
     speed = float(yield_speed(reader, with_junction(reader, seen(reader, 10.0, 30.0, 24.0, 8.0, -90.0), 18.0), C, 10.0))
-    assert stop_m(speed) == pytest.approx(18.0, abs=0.1)
+    assert stop_m(speed) == pytest.approx(18.0 - C.line_m, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -113,6 +115,40 @@ def test_a_batch_and_nobody_to_see():
     assert together.tolist() == [float(yield_speed(reader, row, C)) for row in rows]
     blind = Reader(ObservationConfig(form="flat", vehicles=0))
     assert float(yield_speed(blind, np.zeros(len(blind.columns), dtype=np.float32), C)) == np.inf
+
+
+def turning_left(reader: Reader, row: Any, radius: float, entry: float) -> Any:
+    """The route turns left by a right angle after so many metres."""
+    for d in reader.previews_m:
+        angle = min(max(d - entry, 0.0) / radius, 0.5 * math.pi)
+        beyond = max(d - entry - 0.5 * math.pi * radius, 0.0)
+        ahead = min(d, entry) + radius * math.sin(angle)
+        right = -radius * (1.0 - math.cos(angle)) - beyond
+        for name, value in (("ahead", ahead), ("right", right), ("heading", -angle)):
+            column = f"road.preview_{d:g}m_{name}"
+            row[reader.columns.index(column)] = value / reader.scale(column)
+    return row
+
+
+@pytest.mark.parametrize(("right", "heading_deg", "waits"), [(-30.0, 90.0, True), (-30.0, -90.0, False)])
+def test_a_vehicle_of_the_road_into_which_the_route_turns_is_given_way(reader, right, heading_deg, waits):
+    """It comes on the lane beside the exit, antiparallel to it, and crosses the turn; one that drives off does not."""
+    row = turning_left(reader, seen(reader, 6.0, 19.0, right, 8.0, heading_deg), 13.0, 10.0)
+    assert (float(yield_speed(reader, with_junction(reader, row, 10.0), C, 6.0)) < np.inf) == waits
+
+
+def test_who_leaves_the_crossing_passes_who_waits_on_the_same_arm():
+    """highway-env takes the approach for what goes on from the exit of its arm, and stops one beside the other."""
+    env = DrivingEnv(make_config("lanebound/Intersection-v0", {"sky": "open", "navigation": {"source": "perfect"}}))
+    env.reset(seed=1008)
+    road, ego = env.world.road, env.world.vehicle
+    exit_lane = road.network.get_lane(("il0", "o0", 0))
+    leaving = IntersectionDriver(road, exit_lane.position(3.0, 0.0), exit_lane.heading_at(3.0), 5.0)
+    ego.position = road.network.get_lane(("o0", "ir0", 0)).position(99.0, 0.0)
+    assert IDMVehicle.acceleration(leaving, leaving, ego) < -5.0
+    assert leaving.acceleration(leaving, ego) == pytest.approx(0.0, abs=1e-6)  # it has its target speed
+    ahead = IntersectionDriver(road, exit_lane.position(11.0, 0.0), exit_lane.heading_at(11.0), 0.0)
+    assert leaving.acceleration(leaving, ahead) < 0.0
 
 
 def test_nobody_at_the_crossing_reverses():

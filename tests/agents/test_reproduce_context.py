@@ -54,7 +54,8 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
     tables = run_context(config, tmp_path)
     found = tables["environments"]["mixed"]
     assert (found["drives"], found["points"]) == (3, 120)
-    for monitor in found["of"].values():
+    assert set(found["assumptions"]) == set(config.assumptions)
+    for monitor in (*found["of"].values(), *found["assumptions"].values()):
         for counts in monitor["rules"].values():
             assert counts["pooled"]["points"] == 120
         rules = monitor["rules"]
@@ -71,9 +72,17 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
         *(word for setting in SETTINGS for word in ("--set", setting)),
     ])  # fmt: skip
     assert told.exit_code == 0, told.output
-    for words in ("Overall correct detection rate", "What each phase adds", "Matchers", "Speed phase", "Charges"):
+    for words in (
+        "Overall correct detection rate",
+        "What each phase adds",
+        "Matchers",
+        "Speed phase",
+        "Charges",
+        "receiver uses",
+    ):
         assert words in told.output
-    for rows in (made.ocdr_rows, made.rule_rows, made.matcher_rows, made.speed_rows, made.application_rows):
+    for rows in (made.ocdr_rows, made.rule_rows, made.matcher_rows, made.speed_rows, made.application_rows,
+                 made.assumption_rows):  # fmt: skip
         head, cells = rows(tables)
         assert cells
         assert all(len(row) == len(head) for row in cells)
@@ -87,5 +96,7 @@ def test_drive_shows_the_light_and_logs_it(tmp_path) -> None:
     assert told.exit_code == 0, told.output
     rows = (out / "warnings.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0].startswith("episode,time_s,light,reason")
-    assert any(",green,TRUSTED,3," in row for row in rows)
+    assert rows[1].startswith("0,0.0,amber,COLLECTING,")
+    assert any(row.startswith("0,8.0,green,TRUSTED,3,") for row in rows)
+    assert "display: green 6 s, amber 8 s, red 0 s; it changed 1 time\n" in told.stderr
     assert json.loads(told.stdout)

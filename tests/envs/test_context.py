@@ -1,73 +1,111 @@
-"""The context-aware monitor in environments: entries, verdicts, log, refusals, and the display."""
+"""The context monitor in environments and the engine: entries, cost, read-out, refusals, and the display."""
+
+from __future__ import annotations
+
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
 import lanebound.envs  # noqa: F401
-from lanebound.envs.context import CONTEXT_ENTRIES, ContextMonitoring, road_map_of
+from lanebound.envs import make_config
+from lanebound.envs.context import context_of
+from lanebound.envs.observation.index import entries
 from lanebound.envs.rendering.config import ThemeName
 from lanebound.envs.rendering.driver_display import DISPLAY_PX, with_display
 from lanebound.envs.rendering.theme import THEMES
-from lanebound.integrity.core.errors import InputError
+from lanebound.envs.road_map import road_map_of
+from lanebound.integrity.core.errors import ConfigError, InputError
 
-RAW = {"sky": "open", "duration_s": 20.0, "navigator": {"gnss": {"undifferenced": True}}}
-
-
-def driven(env, seconds: float = 12.0, seed: int = 3):
-    """Info of each step of a drive straight on."""
-    env.reset(seed=seed)
-    still = np.zeros(env.action_space.shape, np.float32)
-    return [env.step(still)[-1]["context"] for _ in range(round(seconds / env.unwrapped.dt_s))]
+ENTRIES = ("context_warning", "context_phases", "context_score", "link_probability")
+WATCHED: dict[str, Any] = {"sky": "open", "duration_s": 20.0, "navigator": {"context": {}}}
+CODES = {"navigator": {"kind": "monitored_codes", "monitor": {"kind": "context"}}}
 
 
-def test_a_drive_under_an_open_sky_becomes_trusted() -> None:
-    env = ContextMonitoring(gymnasium.make("lanebound/LaneKeeping-v0", config=RAW))
-    found = driven(env)
-    assert found[0]["reason"] in ("COLLECTING", "SLOW", "UNAVAILABLE")
-    assert found[-1]["light"] in ("green", "amber")
-    assert any(f["phases"] == 3 and f["light"] == "green" and f["score"] > 71.0 for f in found)
-    assert found[-1]["road"] != ""
-    log = env.context.log
-    assert [entry["light"] for entry in log][:2] == ["amber", "green"]
-    assert env.context.advice
+def place_of(config: Any) -> dict[str, int]:
+    """Places of the entries of the monitor in the flat form."""
+    return {entry.name: place for place, entry in enumerate(entries(config.observation)) if entry.name in ENTRIES}
+
+
+def test_the_index_has_the_entries_where_a_monitor_is_configured() -> None:
+    for config, count in (({}, 0), (WATCHED, 4), (CODES, 4)):
+        found = place_of(make_config("lanebound/LaneKeeping-v0", config))
+        assert len(found) == count
+    blind = {**WATCHED, "observation": {"integrity": "blind"}}
+    assert not place_of(make_config("lanebound/LaneKeeping-v0", blind))
+    with pytest.raises(ConfigError, match=r"context\.alert is not a known key"):
+        gymnasium.make("lanebound/LaneKeeping-v0", config={"navigator": {"context": {"alert": True}}})
+
+
+def test_a_drive_under_an_open_sky_becomes_trusted_and_is_observed() -> None:
+    env = gymnasium.make("lanebound/LaneKeeping-v0", config={**WATCHED, "observation": {"form": "flat"}})
+    base: Any = env.unwrapped
+    observation, _ = env.reset(seed=3)
+    places, lights = place_of(base.config), []
+    still = np.zeros(2, np.float32)
+    for step in range(round(9.0 / base.dt_s)):
+        shown = context_of(base)
+        seen = {name: float(observation[place]) for name, place in places.items()}
+        assert seen["context_phases"] == pytest.approx(shown.phases / 3.0)
+        assert seen["context_score"] == pytest.approx(shown.score / 100.0)
+        assert seen["link_probability"] == pytest.approx(shown.link_probability)
+        assert seen["context_warning"] == (shown.light != "green")
+        lights.append(shown.light)
+        still[0] = 0.2 if step < 10 else 0.0
+        observation = env.step(still)[0]
+        assert env.observation_space.contains(observation)
+    first = lights.index("green")
+    assert 7.5 <= first * base.dt_s <= 8.5  # eleven speeds at one a second, three of them before the episode
+    assert set(lights[:first]) == {"amber"}
+    assert shown.road
+    assert shown.advice
     env.reset(seed=4)
-    assert len(env.context.log) <= 1  # the log is that of the episode
+    assert context_of(base).reason == "COLLECTING"  # the memory is that of the episode
 
 
-@pytest.mark.parametrize("form", ["dict", "flat"])
-def test_observations_have_the_entries_and_follow_the_contract(form) -> None:
-    config = {**RAW, "observation": {"form": form}}
-    env = ContextMonitoring(gymnasium.make("lanebound/LaneKeeping-v0", config=config, disable_env_checker=True))
-    observation, info = env.reset(seed=1)
-    assert env.observation_space.contains(observation)
-    last = observation["context"] if form == "dict" else observation[-len(CONTEXT_ENTRIES) :]
-    n = info["context"]
-    np.testing.assert_allclose(last, [n["phases"] / 3, n["score"] / 100, n["link_probability"], n["warn"]], atol=1e-6)
-
-
-def test_warnings_cost_what_is_asked_for() -> None:
+def test_a_warning_costs_what_is_asked_for_while_the_car_drives_on() -> None:
     plain, dear = (
-        ContextMonitoring(gymnasium.make("lanebound/LaneKeeping-v0", config=RAW), warning_cost=cost)
-        for cost in (0.0, 2.0)
+        gymnasium.make("lanebound/LaneKeeping-v0", config={**WATCHED, "cost": {"context": weight}})
+        for weight in (0.0, 2.0)
     )
-    still = np.zeros(plain.action_space.shape, np.float32)
     for env in (plain, dear):
         env.reset(seed=1)
-    a, b = plain.step(still)[-1], dear.step(still)[-1]
-    assert a["context"]["warn"]
-    assert b["cost_context"] == plain.unwrapped.dt_s
-    assert b["cost"] - a["cost"] == pytest.approx(2.0 * plain.unwrapped.dt_s)
-    with pytest.raises(InputError, match="warning_cost must be >= 0"):
-        ContextMonitoring(gymnasium.make("lanebound/LaneKeeping-v0", config=RAW), warning_cost=-1.0)
+    a, b = (env.step(np.zeros(2, np.float32))[-1] for env in (plain, dear))
+    assert a["cost_context"] == b["cost_context"] == dear.unwrapped.dt_s  # type: ignore[attr-defined]
+    assert b["cost"] - a["cost"] == pytest.approx(2.0 * b["cost_context"])
 
 
-def test_without_undifferenced_codes_it_is_refused() -> None:
-    env = ContextMonitoring(gymnasium.make("lanebound/LaneKeeping-v0", config={"sky": "open"}))
-    with pytest.raises(InputError, match=r"navigator\.gnss\.undifferenced must be true"):
-        env.reset(seed=1)
-    with pytest.raises(InputError, match="must be an environment of lanebound"):
-        ContextMonitoring(gymnasium.make("CartPole-v1"))
+@pytest.mark.parametrize("kind", ["rtk_reckoning", "monitored_codes"])
+def test_the_engine_has_the_reports_of_single_environments(kind: str) -> None:
+    navigator = {"kind": kind, "context": {"interval_s": 0.5, "alerts": True}}
+    config = {**WATCHED, "navigator": navigator, "observation": {"form": "flat"}}
+    env = gymnasium.make("lanebound/LaneKeeping-v0", config=config)
+    engine = gymnasium.make_vec("lanebound/LaneKeeping-v0", num_envs=2, config=config)
+    places = list(place_of(env.unwrapped.config).values())  # type: ignore[attr-defined]
+    one, _ = env.reset(seed=5)
+    many, _ = engine.reset(seed=5)
+    changed = 0
+    for _ in range(44):
+        np.testing.assert_allclose(many[0][places], one[places], atol=1e-6)
+        before = one[places]
+        one, _, over, _, info = env.step(np.zeros(2, np.float32))
+        many, *_, infos = engine.step(np.zeros((2, 2), np.float32))
+        assert infos["cost_context"][0] == info["cost_context"]
+        assert infos["alert"][0] == info["alert"]
+        changed += bool((one[places] != before).any())
+        if over:
+            break
+    assert changed
+    env.close()
+    engine.close()
+
+
+def test_without_a_monitor_there_is_nothing_to_read() -> None:
+    env = gymnasium.make("lanebound/LaneKeeping-v0", config={"sky": "open"})
+    env.reset(seed=1)
+    with pytest.raises(InputError, match=r"navigator\.context must be configured"):
+        context_of(env.unwrapped)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("world", ["Roundabout", "Intersection", "Highway"])

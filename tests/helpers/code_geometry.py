@@ -35,7 +35,7 @@ def quiet(epochs: int = 400, satellites: int = 10, systems: int = 2, seed: int =
 
 
 def with_everything(epochs: CodeEpochs, seed: int = 2) -> CodeEpochs:
-    """The same epochs with a map, displacements and carriers of a vehicle at rest."""
+    """The same epochs with a map, displacements, carriers and resolved integers of a vehicle at rest."""
     rng = np.random.default_rng(seed)
     shape = epochs.y_m.shape
     return CodeEpochs(**{
@@ -46,4 +46,8 @@ def with_everything(epochs: CodeEpochs, seed: int = 2) -> CodeEpochs:
         "carrier_step_m": 0.01 * rng.normal(size=shape),
         "carrier_sigma_m": np.full(shape, 0.01),
         "carrier_kept": epochs.used.copy(),
+        "fixed_m": 0.01 * rng.normal(size=shape),
+        "fixed_sigma_m": np.full(shape, 0.01),
+        "fixed_kept": epochs.used.copy(),
+        "fix_risk": np.full(shape[0], 1e-7),
     })  # fmt: skip

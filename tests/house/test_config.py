@@ -300,3 +300,15 @@ def test_a_rule_between_keys_names_the_whole_path_of_a_key():
 def test_enums_of_numbers_are_shown_with_their_names():
     (line,) = refusal({"inner": {"kind": 9}}, model=Around)
     assert line.startswith("inner.kind must be one of 0 (GPS), 1 (GALILEO), got 9")
+
+
+class Wide(Config):
+    inner: Ruled = Ruled(rate_hz=5)
+    listed: tuple[int, ...] = (1, 2)
+
+
+def test_a_mapping_changes_only_its_own_keys_of_the_default_of_a_field():
+    assert Wide.load({"inner": {"kind": 0}}).inner.rate_hz == 5
+    assert Wide.load({"inner": {"rate_hz": 4}}).inner == Ruled(rate_hz=4)
+    assert Wide.load({"inner": Ruled()}).inner.rate_hz == 10  # a whole configuration replaces it
+    assert refusal({"inner": {"rate_hz": 3}}, model=Wide) == ["inner.rate_hz must divide 20, got 3: choose a divisor"]

@@ -11,8 +11,8 @@ from scipy.special import ndtr
 
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, upper_quantile
-from lanebound.integrity.monitoring.sbas import semi_major_m
 from lanebound.integrity.navigators.navigator import PlCase
+from lanebound.integrity.positioning.code_solution import semi_major_m
 
 __all__ = [
     "HTL_SIGMAS",

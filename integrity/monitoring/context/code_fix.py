@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from lanebound.integrity.core.config import Config, Field
-from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.positioning.code_solution import CodeFit, solve_ranges
+from lanebound.integrity.sky.systems import System
 
 if TYPE_CHECKING:
     from lanebound.integrity.sensors.instruments import Measurements
@@ -34,18 +36,33 @@ class CodeErrorsConfig(Config):
     errors: CodeErrorBudget = Field(
         CodeErrorBudget(reflections_m=0.6), description="of codes; reflections between suburban and urban streets"
     )
+    plain_hdop: bool = Field(
+        False, description="the level takes the HDOP without weights, as S5 names it (not in metres)"
+    )
+    systems: tuple[str, ...] = Field(tuple(System.__members__), min_length=1, description="systems used; S5: GPS")
     range_rate_mps: float = Field(
         0.2,
         gt=0,
         description="range rate at the zenith, 1 sigma [m/s]; 0.08 in the open, and reflections in streets, S1",
     )
 
+    @model_validator(mode="after")
+    def _systems_are_known(self) -> CodeErrorsConfig:
+        unknown = [name for name in self.systems if name not in System.__members__]
+        if unknown:
+            raise ConfigError(f"systems must be among {', '.join(System.__members__)}, got {unknown[0]!r}: correct it")
+        return self
+
 
 class CodeFix(NamedTuple):
-    """Position and velocity of B vehicles; ``codes`` and ``rates`` hold solutions, covariances and residuals."""
+    """Position and velocity of B vehicles; ``codes`` and ``rates`` hold solutions, covariances and residuals.
+
+    hdop (B,): without weights, for levels that take it; None where they take the weighted one.
+    """
 
     codes: CodeFit
     rates: CodeFit
+    hdop: Array | None = None
 
     @property
     def position_en_m(self) -> Array:
@@ -63,7 +80,7 @@ class CodeFix(NamedTuple):
         return np.asarray(self.rates.x_m[:, :2])
 
 
-def code_fix(m: Measurements, config: CodeErrorsConfig, rows: slice = slice(None)) -> CodeFix:
+def code_fix(m: Measurements, config: CodeErrorsConfig, rows: slice | NDArray[np.int64] = slice(None)) -> CodeFix:
     """Position and velocity of the vehicles in ``rows`` at an epoch.
 
     Raises
@@ -75,11 +92,14 @@ def code_fix(m: Measurements, config: CodeErrorsConfig, rows: slice = slice(None
         raise InputError("gnss.undifferenced must be true, is false: a code position needs undifferenced codes")
     los, cn0 = m.sky.los_enu[m.sky.index[rows]], m.gnss.cn0_dbhz[rows]
     used = m.gnss.tracked[rows] & (los[..., 2] >= np.sin(np.deg2rad(config.mask_deg))) & (cn0 >= config.least_cn0_dbhz)
+    system = np.asarray(m.sky.system, dtype=np.int64)
+    used &= np.isin(system, [System[name].value for name in config.systems])
     los = np.where(used[..., None], los, UP)
     found = config.errors.errors(los[..., 2], cn0)
-    system = np.asarray(m.sky.system, dtype=np.int64)
-    codes = solve_ranges(los, m.gnss.raw_code_m[rows, :, 0], found.variance_m2, used, system)
+    observed = m.gnss.raw_code_m[rows, :, 0]
+    codes = solve_ranges(los, observed, found.variance_m2, used, system)
+    plain = solve_ranges(los, observed, 1.0, used, system).hdop_m if config.plain_hdop else None
     rates = solve_ranges(
         los, m.gnss.range_rate_mps[rows], config.range_rate_mps**2 * found.factor, used, np.zeros_like(system)
     )
-    return CodeFix(codes, rates)
+    return CodeFix(codes, rates, plain)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.frames import wrap_angle
+from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
 from lanebound.integrity.monitoring.context.fuzzy import RuleBase, s5_rules
 from lanebound.integrity.positioning.map_matching.matching import MapMatches
 from lanebound.integrity.positioning.map_matching.road_map import NO_LINK
@@ -51,18 +52,22 @@ class MapTest(NamedTuple):
 
 
 class MapPhase:
-    """Measured and matched positions of the last N epochs of B vehicles."""
+    """Measured and matched positions of the last N epochs of B vehicles.
+
+    ``memory``: steps (B, N, 4) distances between matched and between measured positions, errors, times, the newest
+    last; count (B,) of them; last (B, 4) matched and measured position, NaN without.
+    """
 
     def __init__(self, config: MapPhaseConfig, batch: int) -> None:
         self.config = config
-        self._steps = np.zeros((batch, config.intervals, 4))  # distances: matched, measured; errors; time. A ring
-        self._count = np.zeros(batch, np.int64)
-        self._at = 0
-        self._last = np.full((batch, 4), np.nan)  # matched, measured position
+        self.memory: Memory = {
+            "steps": np.zeros((batch, config.intervals, 4)), "count": np.zeros(batch, np.int64),
+            "last": np.full((batch, 4), np.nan),
+        }  # fmt: skip
 
-    def forget(self, rows: NDArray[np.int64] | slice) -> None:
+    def forget(self, rows: Rows) -> None:
         """Begin anew with these vehicles."""
-        self._count[rows], self._last[rows] = 0, np.nan
+        self.memory["count"][rows], self.memory["last"][rows] = 0, np.nan
 
     def step(
         self,
@@ -72,8 +77,9 @@ class MapPhase:
         heading_rad: Array,
         average_mps: Array,
         dt_s: float,
+        rows: Rows = EVERY,
     ) -> MapTest:
-        """Score the match of an epoch.
+        """Score the match of an epoch of the vehicles in ``rows``; B is their number.
 
         Parameters
         ----------
@@ -84,16 +90,16 @@ class MapPhase:
         """
         c, matched = self.config, match.link != NO_LINK
         here = np.concatenate([match.foot_en_m, position_en_m], -1)
-        moved = np.linalg.norm((here - self._last).reshape(-1, 2, 2), axis=-1)
+        steps, count, last = (self.memory[name][rows] for name in ("steps", "count", "last"))
+        moved = np.linalg.norm((here - last).reshape(-1, 2, 2), axis=-1)
         joined = matched & np.isfinite(moved).all(-1)
         sample = np.concatenate([moved, sigma_m[:, None], np.full((sigma_m.size, 1), dt_s)], -1)
-        self._steps[:, self._at] = np.where(joined[:, None], sample, 0.0)
-        self._at = (self._at + 1) % c.intervals
-        self._count = np.where(joined, np.minimum(self._count + 1, c.intervals), 0)
-        self._last = np.where(matched[:, None], here, np.nan)
-        age = (self._at - 1 - np.arange(c.intervals)) % c.intervals  # epochs since each place was written
-        recent = age[None] < self._count[:, None]
-        mapped, measured, errors, time = (np.where(recent, self._steps[..., k], 0.0).sum(-1) for k in range(4))
+        steps = np.concatenate([steps[:, 1:], np.where(joined[:, None], sample, 0.0)[:, None]], 1)
+        count = np.where(joined, np.minimum(count + 1, c.intervals), 0)
+        self.memory["steps"][rows], self.memory["count"][rows] = steps, count
+        self.memory["last"][rows] = np.where(matched[:, None], here, np.nan)
+        recent = np.arange(c.intervals)[::-1] < count[:, None]
+        mapped, measured, errors, time = (np.where(recent, steps[..., k], 0.0).sum(-1) for k in range(4))
         speed = np.where(time > 0.0, mapped / np.where(time > 0.0, time, 1.0), average_mps)
         if c.printed_allowance:
             mapped = mapped - errors - c.map_sigma_m * recent.sum(-1)

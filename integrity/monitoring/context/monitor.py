@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.advice import Advice
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
 from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig, CodeFix
 from lanebound.integrity.monitoring.context.map_phase import MapPhase, MapPhaseConfig, MapTest
 from lanebound.integrity.monitoring.context.position_phase import PositionPhaseConfig, PositionTest, check_position
@@ -114,6 +115,10 @@ class ContextMonitor:
     batch : int
     dt_s : float
         Time between epochs.
+
+    Attributes
+    ----------
+    memory : what lasts, of the matcher, the phases and the last verdicts; arrays with the vehicles as first axis
     """
 
     def __init__(self, config: ContextConfig, road_map: RoadMap, batch: int, dt_s: float) -> None:
@@ -123,15 +128,26 @@ class ContextMonitor:
         self.matcher = make_matcher(road_map, config.matching, batch)
         self.speed = SpeedPhase(config.speed, batch)
         self.map = MapPhase(config.map, batch)
-        self._warned = np.ones(batch, np.bool_)  # by the last verdict in motion
-        self._score = np.zeros(batch)
+        self._held: Memory = {"warned": np.ones(batch, np.bool_), "score": np.zeros(batch)}  # of the last in motion
 
-    def forget(self, rows: Ints | slice) -> None:
+    @property
+    def memory(self) -> dict[str, Memory]:
+        """See the class."""
+        return {
+            "matcher": self.matcher.memory, "speed": self.speed.memory, "map": self.map.memory, "held": self._held
+        }  # fmt: skip
+
+    @memory.setter
+    def memory(self, memory: dict[str, Memory]) -> None:
+        self.matcher.memory, self.speed.memory = memory["matcher"], memory["speed"]
+        self.map.memory, self._held = memory["map"], memory["held"]
+
+    def forget(self, rows: Rows) -> None:
         """Begin anew with these vehicles."""
         self.matcher.forget(rows)
         self.speed.forget(rows)
         self.map.forget(rows)
-        self._warned[rows], self._score[rows] = True, 0.0
+        self._held["warned"][rows], self._held["score"][rows] = True, 0.0
 
     def step(
         self,
@@ -139,31 +155,33 @@ class ContextMonitor:
         wheel_mps: Array,
         position: PositionTest | None = None,
         speed: SpeedTest | None = None,
+        rows: Rows = EVERY,
     ) -> ContextVerdict:
         """The verdict of an epoch, from a code position with its rows and the wheel speed (B,).
 
-        ``position`` and ``speed`` are results of the first phases on the same fix, when another monitor has them.
+        ``position`` and ``speed`` are results of the first phases on the same fix, when another monitor has them. With
+        ``rows`` only these vehicles have an epoch, and all arguments are theirs.
         """
-        position = position or check_position(fix.codes, self.config.position)
+        position = position or check_position(fix.codes, self.config.position, fix.hdop)
         speed = speed or self.speed.step(
-            fix.velocity_en_mps, fix.rates.cofactor[:, :2, :2], wheel_mps, fix.rates.solved
+            fix.velocity_en_mps, fix.rates.cofactor[:, :2, :2], wheel_mps, fix.rates.solved, rows
         )  # fmt: skip
-        match, heading, sigma = self._match(fix, wheel_mps)
+        match, heading, sigma = self._match(fix, wheel_mps, rows)
         doppler = np.where(speed.known, speed.average_mps, np.hypot(*fix.velocity_en_mps.T))
-        tested = self.map.step(match, fix.position_en_m, sigma, heading, doppler, self.dt_s)
+        tested = self.map.step(match, fix.position_en_m, sigma, heading, doppler, self.dt_s, rows)
         reason = self._reason(fix.codes.solved, position, speed, tested)
         phases = _phases_passed(position, speed, tested)
         slow = reason == ContextReason.SLOW.code
         held = slow & (not self.config.warn_at_rest)
-        warn = np.where(held, self._warned, reason != ContextReason.TRUSTED.code)
-        score = np.where(slow, self._score, tested.score)
-        self._warned, self._score = np.asarray(warn, np.bool_), score
+        warn = np.where(held, self._held["warned"][rows], reason != ContextReason.TRUSTED.code)
+        score = np.where(slow, self._held["score"][rows], tested.score)
+        self._held["warned"][rows], self._held["score"][rows] = warn, score
         names = np.append(self.road_map.identity, NO_LINK)
         return ContextVerdict(
-            self._warned.copy(), reason, phases, score, names[match.link], match, position, speed, tested
+            np.asarray(warn, np.bool_), reason, phases, score, names[match.link], match, position, speed, tested
         )  # fmt: skip
 
-    def _match(self, fix: CodeFix, wheel_mps: Array) -> tuple[MapMatches, Array, Array]:
+    def _match(self, fix: CodeFix, wheel_mps: Array, rows: Rows) -> tuple[MapMatches, Array, Array]:
         """The match, the azimuth of motion and the 1 sigma of the position on one axis."""
         east, north = fix.velocity_en_mps.T
         heading = np.arctan2(east, north)
@@ -171,7 +189,7 @@ class ContextMonitor:
         sigma = np.sqrt(np.maximum(variance, 1.0))
         moved = np.where(fix.rates.solved, np.hypot(east, north), np.abs(wheel_mps)) * self.dt_s
         inputs = MatchInputs(fix.position_en_m, heading, np.abs(wheel_mps), moved, sigma, fix.codes.solved)
-        return self.matcher.step(inputs), heading, sigma
+        return self.matcher.step(inputs, rows), heading, sigma
 
     def _reason(self, located: Bools, position: PositionTest, speed: SpeedTest, tested: MapTest) -> Ints:
         """The first phase that fails, in the order of S5 figure 2."""

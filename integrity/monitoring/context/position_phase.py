@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.monitoring.significance import two_sided_factor
@@ -59,18 +59,19 @@ def raim_threshold(redundancy: NDArray[np.int64], false_alarm: float) -> Array:
 
 @lru_cache(maxsize=64)
 def _thresholds(false_alarm: float, most: int) -> Array:
-    return np.concatenate([[np.inf], np.sqrt(chi2.isf(false_alarm, np.arange(1, most + 1)))])
+    return np.concatenate([[np.inf], np.sqrt(chdtri(np.arange(1.0, most + 1), false_alarm))])
 
 
-def check_position(codes: CodeFit, config: PositionPhaseConfig) -> PositionTest:
-    """Protection level and consistency of code positions."""
+def check_position(codes: CodeFit, config: PositionPhaseConfig, hdop: Array | None = None) -> PositionTest:
+    """Protection level and consistency of code positions; ``hdop`` (B,) in place of the weighted one."""
     slope = codes.slopes()
     if config.printed_slope:
         slope = slope * np.where(codes.used, np.sqrt(codes.weight), 1.0)
     threshold = raim_threshold(codes.df, config.false_alarm)
     tested = codes.solved & (codes.df > 0)
     worst = np.where(tested, slope.max(-1, initial=0.0), 0.0)
-    level = worst * np.where(tested, threshold, 0.0) + two_sided_factor(config.missed_detection) * codes.hdop_m
+    spread = codes.hdop_m if hdop is None else hdop
+    level = worst * np.where(tested, threshold, 0.0) + two_sided_factor(config.missed_detection) * spread
     level = np.where(tested, level, np.inf)
     statistic = np.sqrt(codes.wsse)
     return PositionTest(level, statistic, threshold, level <= config.alert_limit_m, statistic <= threshold)

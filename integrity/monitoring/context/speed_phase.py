@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError, require_finite
+from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
 
 __all__ = ["SpeedForm", "SpeedPhase", "SpeedPhaseConfig", "SpeedTest", "interval_mean", "mase", "trend_error"]
 
@@ -108,20 +109,27 @@ class SpeedPhase:
     ----------
     config : SpeedPhaseConfig
     batch : int
+
+    Attributes
+    ----------
+    memory : what lasts, arrays with the vehicles as first axis: speeds (B, N + 1, 3) SDOP, Doppler and wheels, the
+        newest last; count (B,) of them
     """
 
     def __init__(self, config: SpeedPhaseConfig, batch: int) -> None:
         self.config = config
-        self._speeds = np.zeros((batch, config.intervals + 1, 3))  # SDOP, Doppler, wheels; a ring
-        self._count = np.zeros(batch, np.int64)
-        self._at = 0
+        self.memory: Memory = {
+            "speeds": np.zeros((batch, config.intervals + 1, 3)), "count": np.zeros(batch, np.int64)
+        }  # fmt: skip
 
-    def forget(self, rows: NDArray[np.int64] | slice) -> None:
+    def forget(self, rows: Rows) -> None:
         """Begin anew with these vehicles."""
-        self._count[rows] = 0
+        self.memory["count"][rows] = 0
 
-    def step(self, velocity_en_mps: Array, covariance: Array, wheel_mps: Array, known: Bools) -> SpeedTest:
-        """Test the speeds after one more epoch.
+    def step(
+        self, velocity_en_mps: Array, covariance: Array, wheel_mps: Array, known: Bools, rows: Rows = EVERY
+    ) -> SpeedTest:
+        """Test the speeds of the vehicles in ``rows`` after one more epoch; B is their number.
 
         Parameters
         ----------
@@ -136,11 +144,12 @@ class SpeedPhase:
         slow = 0.5 * np.trace(covariance, axis1=1, axis2=2)  # no direction: the mean of both axes
         variance = np.where(speed > 1e-6, along, slow)
         sample = np.stack([c.sdop_sigmas * np.sqrt(np.maximum(variance, 0.0)), speed, np.abs(wheel_mps)], -1)
-        self._speeds[:, self._at] = np.where(known[:, None], sample, 0.0)
-        self._at = (self._at + 1) % (n + 1)
-        self._count = np.where(known, np.minimum(self._count + 1, n + 1), 0)
-        full = self._count > n
-        ordered = np.where(full[:, None, None], np.roll(self._speeds, -self._at, axis=1), 0.0)
+        speeds, count = self.memory["speeds"][rows], self.memory["count"][rows]
+        speeds = np.concatenate([speeds[:, 1:], np.where(known[:, None], sample, 0.0)[:, None]], 1)
+        count = np.where(known, np.minimum(count + 1, n + 1), 0)
+        self.memory["speeds"][rows], self.memory["count"][rows] = speeds, count
+        full = count > n
+        ordered = np.where(full[:, None, None], speeds, 0.0)
         sdop, doppler, wheels = ordered[..., 0], ordered[..., 1], ordered[..., 2]
         bound, average = mase(sdop), interval_mean(doppler)
         error, consistent = self._compare(bound, doppler, wheels)

@@ -78,6 +78,7 @@ class LevelKind(Enum):
     RELATIVE_POSITION = "relative_position"
     RELATIVE_RANGE = "relative_range"
     EXTENDED = "extended"
+    FIXED_CARRIERS = "fixed_carriers"
 
 
 class FamilyMonitorConfig(Config):

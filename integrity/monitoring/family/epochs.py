@@ -42,6 +42,9 @@ class CodeEpochs:
     carrier_step_m : (E, m) observed minus computed change of the carrier since the epoch before, of the same form as
         ``y`` with the displacement for x; ``carrier_sigma_m`` (E, m) its standard deviation, independent from step to
         step; ``carrier_kept`` (E, m) bool where the carrier was held. None without.
+    fixed_m : (E, m) carriers with resolved integers, of the same form as ``y``; ``fixed_sigma_m`` (E, m) their standard
+        deviation, ``fixed_kept`` (E, m) bool where there is one, ``fix_risk`` (E,) probability that an integer is
+        wrong. None without.
     """
 
     time_s: Array
@@ -59,6 +62,10 @@ class CodeEpochs:
     carrier_step_m: Array | None = None
     carrier_sigma_m: Array | None = None
     carrier_kept: Bools | None = None
+    fixed_m: Array | None = None
+    fixed_sigma_m: Array | None = None
+    fixed_kept: Bools | None = None
+    fix_risk: Array | None = None
 
     @classmethod
     def of(
@@ -150,7 +157,7 @@ class CodeEpochs:
 def _shapes(epochs: int, columns: int) -> dict[str, tuple[int, ...]]:
     """Shape of each field."""
     both = (epochs, columns)
-    of_epoch = dict.fromkeys(("time_s", "drive", "step_sigma_m"), (epochs,))
+    of_epoch = dict.fromkeys(("time_s", "drive", "step_sigma_m", "fix_risk"), (epochs,))
     of_code = dict.fromkeys(
         (
             "y_m",
@@ -162,6 +169,9 @@ def _shapes(epochs: int, columns: int) -> dict[str, tuple[int, ...]]:
             "carrier_step_m",
             "carrier_sigma_m",
             "carrier_kept",
+            "fixed_m",
+            "fixed_sigma_m",
+            "fixed_kept",
         ),
         both,
     )

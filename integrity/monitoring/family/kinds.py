@@ -16,6 +16,13 @@ MISSED = "P(error > HPL and no alarm) <= risk under one faulty code of the worst
 RISK = "P(error > HPL) <= risk with faults of their priors"
 NOMINAL = "P(error > HPL) <= risk of normal errors without faults"
 NONE = "none proven"
+EXCLUDING = (
+    "P(error > HPL) <= risk with faults of their priors if exclusion has left out the faulty codes; "
+    "a wrong exclusion has no share of the risk"
+)
+CHOSEN = EXCLUDING + ", and if code_sigma_m, which is chosen, bounds the codes"
+MAPPED = EXCLUDING + ", and the map has no errors"
+FIXED = "P(error > HPL) <= risk with faults of their priors and of the integers, if exclusion is right"
 CODES = "codes"
 
 
@@ -48,28 +55,29 @@ RESIDUAL, SEPARATION, FREE, CITY, LAWS, TIME = (
 ROOT: dict[str, Any] = {"level": "separation_root", "test": "separation"}
 KINDS = (
     _kind("residual", RESIDUAL, "global test of residuals, slope HPL", "S3 eq 6-14", MISSED, level="slope"),
-    _kind("residual_fde", RESIDUAL, "the same after exclusion by local tests", "S3 III-A, S1 3.1", MISSED,
+    _kind("residual_fde", RESIDUAL, "the same after exclusion by local tests", "S3 III-A, S1 3.1",
+          MISSED + ", if exclusion has left out the faulty codes",
           level="slope", rejection="local_test"),
     _kind("uncertainty", RESIDUAL, "HUL: the residuals found in place of the threshold", "S3 III-A", MISSED,
           level="uncertainty"),
     _kind("weighted", RESIDUAL, "weighted RAIM of Walter and Enge", "S5 eq 1-4; ION GPS 1995", MISSED,
           level="weighted"),
     _kind("baarda", RESIDUAL, "data snooping, external reliability", "Baarda 1968; S1 3.1",
-          "external reliability: effect of the least bias found with power 1 - risk", level="reliability",
-          rejection="local_test"),
+          "external reliability: effect of the least bias found with power 1 - risk; no bound of the error",
+          level="reliability", rejection="local_test"),
     _kind("road", RESIDUAL, "level fixed at the alert limit, false alarms vary", "S3 V-B1 [17]", MISSED, level="road"),
     _kind("separation", SEPARATION, "closed form, exact factors", "S1 eq 17", RISK, level="separation",
           test="separation"),
     _kind("separation_published", SEPARATION, "closed form, printed factors", "S1 eq 13 and 17",
           "as printed: factors smaller than those of its own test", level="separation_published", test="separation"),
     _kind("separation_root", SEPARATION, "root of the sum over hypotheses", "S2 eq 10-11", RISK, **ROOT),
-    _kind("separation_fde", SEPARATION, "the same after exclusion by separations", "S2 4.1", RISK, **ROOT,
+    _kind("separation_fde", SEPARATION, "the same after exclusion by separations", "S2 4.1", EXCLUDING, **ROOT,
           rejection="separation"),
-    _kind("araim", SEPARATION, "faults of satellites and systems, exclusion, road budget", "WG-C ARAIM ADD v3.1", RISK,
-          level="araim", test="separation", rejection="separation"),
+    _kind("araim", SEPARATION, "faults of satellites and systems, exclusion, road budget", "WG-C ARAIM ADD v3.1",
+          EXCLUDING, level="araim", test="separation", rejection="separation"),
     _kind("araim_lpv200", SEPARATION, "the same with the budgets of LPV-200", "WG-C ARAIM ADD v3.1",
-          "P_HMI of LPV-200, whatever the risk", level="araim", test="separation", rejection="separation", araim={},
-          satellite_prior=1e-5),
+          "P_HMI of LPV-200, whatever the risk, if exclusion is right",
+          level="araim", test="separation", rejection="separation", araim={}, satellite_prior=1e-5),
     _kind("sbas", SEPARATION, "K_H 6.0 times the largest deviation", "RTCA DO-229D J.1, S3 eq 5",
           "the ground segment bounds every error: here nobody does", level="sbas", test="none"),
     _kind("ibpl", FREE, "k |r| HDOP of isotropic errors", "S3 eq 15 [122]", "P(error > HPL) = risk of isotropic errors",
@@ -84,33 +92,35 @@ KINDS = (
           rejection="danish"),
     _kind("huber", CITY, "weights of Huber, then the root level", "Huber 1964", NONE, **ROOT, rejection="huber"),
     _kind("igg3", CITY, "weights of IGG-III, then the root level", "Yang 1994", NONE, **ROOT, rejection="igg3"),
-    _kind("separable", CITY, "exclusion only where the fault can be told apart", "S3 V-B1 [70]", RISK, **ROOT,
+    _kind("separable", CITY, "exclusion only where the fault can be told apart", "S3 V-B1 [70]", EXCLUDING, **ROOT,
           rejection="separable"),
-    _kind("elevation", CITY, "weights by elevation, exclusion, root level", "S3 V-A", RISK, **ROOT,
+    _kind("elevation", CITY, "weights by elevation, exclusion, root level", "S3 V-A", CHOSEN, **ROOT,
           rejection="local_test", weights="elevation"),
-    _kind("cn0", CITY, "weights by C/N0, exclusion, root level", "S3 V-A", RISK, **ROOT, rejection="local_test",
+    _kind("cn0", CITY, "weights by C/N0, exclusion, root level", "S3 V-A", CHOSEN, **ROOT, rejection="local_test",
           weights="cn0"),
-    _kind("elevation_cn0", CITY, "weights by both, exclusion, root level", "S3 V-A", RISK, **ROOT,
+    _kind("elevation_cn0", CITY, "weights by both, exclusion, root level", "S3 V-A", CHOSEN, **ROOT,
           rejection="local_test", weights="elevation_cn0"),
-    _kind("map_exclude", CITY, "codes predicted to be reflected are left out", "S3 V-B1, 3D-aided", RISK, "codes+map",
+    _kind("map_exclude", CITY, "codes predicted to be reflected are left out", "S3 V-B1, 3D-aided", MAPPED, "codes+map",
           **ROOT, rejection="local_test", shadowed="exclude"),
-    _kind("map_deweight", CITY, "codes predicted to be reflected have less weight", "S3 V-B1, 3D-aided", RISK,
+    _kind("map_deweight", CITY, "codes predicted to be reflected have less weight", "S3 V-B1, 3D-aided", MAPPED,
           "codes+map", **ROOT, rejection="local_test", shadowed="deweight"),
     _kind("normal", LAWS, "normal errors of the stated deviations", "S3 eq 5", NOMINAL, level="normal"),
-    _kind("classes", LAWS, "overbounds by C/N0 x elevation x path, exclusion, root level", "S3 V-A; fit-errors", RISK,
-          "codes+fit", **ROOT, rejection="local_test", weights="classes"),
+    _kind("classes", LAWS, "overbounds by C/N0 x elevation x path, exclusion, root level", "S3 V-A; fit-errors",
+          EXCLUDING, "codes+fit", **ROOT, rejection="local_test", weights="classes"),
     _kind("classes_normal", LAWS, "the same overbounds, normal level, no test", "S3 V-A; fit-errors", NOMINAL,
           "codes+fit", level="normal", test="none", weights="classes"),
     _kind("rayleigh", LAWS, "Rayleigh law of the position error", "S3 V-A", "quantile of the fitted law", "codes+fit",
           level="rayleigh", test="none"),
     _kind("pareto", LAWS, "Pareto tail of the position error", "S3 V-A", "quantile of the fitted law", "codes+fit",
           level="pareto", test="none"),
-    _kind("rraim_position", TIME, "an anchor of codes, positions carried on by carriers", "S3 III-A [60]", RISK,
+    _kind("rraim_position", TIME, "an anchor of codes, positions carried on by carriers", "S3 III-A [60]", EXCLUDING,
           "codes+carriers", level="relative_position", test="separation", rejection="separation"),
-    _kind("rraim_range", TIME, "an anchor of codes, ranges carried on by carriers", "S3 III-A [60]", RISK,
+    _kind("rraim_range", TIME, "an anchor of codes, ranges carried on by carriers", "S3 III-A [60]", EXCLUDING,
           "codes+carriers", level="relative_range", test="separation", rejection="separation"),
-    _kind("eraim", TIME, "separation of filters aided by displacements", "S3 III-A [50]", RISK, "codes+steps",
+    _kind("eraim", TIME, "separation of filters aided by displacements", "S3 III-A [50]", EXCLUDING, "codes+steps",
           level="extended", test="none", rejection="separation"),
+    _kind("craim", TIME, "fixed carriers, separation, with the risk of the fix", "S3 III-A", FIXED, "codes+fixed",
+          level="fixed_carriers", test="none"),
 )  # fmt: skip
 
 
@@ -130,5 +140,6 @@ def applicable(epochs: CodeEpochs, fitted: bool = False) -> list[MonitorKind]:
     there |= {"map"} if epochs.shadowed is not None else set()
     there |= {"steps"} if epochs.step_enu_m is not None else set()
     there |= {"carriers"} if epochs.carrier_step_m is not None else set()
+    there |= {"fixed"} if epochs.fixed_m is not None else set()
     there |= {"fit"} if fitted else set()
     return [kind for kind in FAMILY.values() if there.issuperset(kind.needs)]

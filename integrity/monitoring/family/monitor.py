@@ -11,6 +11,7 @@ from lanebound.integrity.core.errors import require_in_range
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind, TestKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit, solve_codes
+from lanebound.integrity.monitoring.family.fixed import fixed_carriers
 from lanebound.integrity.monitoring.family.levels import LEVELS, LevelWork, fixed_level_false_alarm, normal_factor
 from lanebound.integrity.monitoring.family.memory import Remembered, composite, extended, isotropic_kalman
 from lanebound.integrity.monitoring.family.outcome import MonitorOutcome, MonitorVerdicts
@@ -32,8 +33,10 @@ MEMORY: dict[LevelKind, Callable[[LevelWork], Remembered]] = {
     LevelKind.RELATIVE_POSITION: relative_position,
     LevelKind.RELATIVE_RANGE: relative_range,
     LevelKind.EXTENDED: extended,
+    LevelKind.FIXED_CARRIERS: fixed_carriers,
 }
-COASTS = {LevelKind.ISOTROPIC_KALMAN, LevelKind.EXTENDED}  # have a position where an epoch has no solution
+# have a position where the codes of an epoch have no solution
+COASTS = {LevelKind.ISOTROPIC_KALMAN, LevelKind.EXTENDED, LevelKind.FIXED_CARRIERS}
 AT_ONCE = 4096  # epochs of a snapshot monitor that are solved together; keeps arrays in the cache
 
 
@@ -65,12 +68,14 @@ def _watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array) -> Mon
     fit = solve_codes(left)
     work = LevelWork(left, fit, config, risks)
     alarm, false_alarm = _test(work, weighted)
-    vpl = _vertical(work)
-    if config.level in MEMORY:
-        found = MEMORY[config.level](work)
+    position = fit.x_m
+    if config.level is LevelKind.ARAIM:  # one search for both
+        level, vpl = advanced_levels(work.epochs, fit, config, risks)
+    elif config.level in MEMORY:
+        found, vpl = MEMORY[config.level](work), _vertical(work)
         position, level, alarm = found.position_enu_m, found.hpl_m, alarm | found.alarm
     else:
-        position, level = fit.x_m, LEVELS[config.level](work)
+        level, vpl = LEVELS[config.level](work), _vertical(work)
     solved: Bools = fit.solved
     if config.level in COASTS:
         solved = np.asarray(solved | np.isfinite(level).any(-1))
@@ -108,11 +113,9 @@ def _test(work: LevelWork, declared: CodeEpochs) -> tuple[Bools, Array]:
 
 
 def _vertical(work: LevelWork) -> Array:
-    """Vertical levels where the kind states them: ARAIM, SBAS, and the normal law.  (E, R)."""
+    """Vertical levels where the kind states them, but for ARAIM: SBAS, and the normal law.  (E, R)."""
     fit, config, kind = work.fit, work.config, work.config.level
     up = np.where(fit.solved, np.sqrt(fit.cofactor[:, 2, 2]), np.inf)[:, None]
-    if kind is LevelKind.ARAIM:
-        return advanced_levels(work.epochs, fit, config, work.risks)[1]
     if kind is LevelKind.SBAS:
         operation = Operation.EN_ROUTE if config.en_route else Operation.PRECISION_APPROACH
         return np.repeat(operation.value[1] * up, work.risks.size, 1)

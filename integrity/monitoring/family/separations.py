@@ -6,14 +6,16 @@ for East, cross-track for North, and ``HPL = hypot(PL_E, PL_N)`` with half of th
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from functools import lru_cache
 
-from lanebound.integrity.monitoring.araim import AraimConfig, enu_levels
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lanebound.integrity.monitoring.araim import AraimConfig, levels_at
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
 from lanebound.integrity.monitoring.family.epochs import MOST_SYSTEMS, CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit
-from lanebound.integrity.monitoring.fault_modes import enumerate_faults
+from lanebound.integrity.monitoring.fault_modes import FaultModes, enumerate_faults
 from lanebound.integrity.monitoring.protection import closed_form_published, protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
 from lanebound.integrity.monitoring.separation import Separation
@@ -63,11 +65,13 @@ def _rules(config: FamilyMonitorConfig, spend: bool = False) -> RiskConfig:
     )  # fmt: skip
 
 
-def _exact(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array, closed: bool) -> Array:
+def _exact(
+    epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array, closed: bool, spent: ArrayLike = 0.0
+) -> Array:
     los = np.where(fit.used[..., None], epochs.los_enu, np.array([0.0, 0.0, 1.0]))
     variance = np.where(fit.used, np.square(np.where(fit.used, epochs.sigma_m, 1.0)), 1.0)
     found = protection_levels_batch(
-        los, fit.used, epochs.system, variance, EAST_RAD, _rules(config), risks, closed=closed
+        los, fit.used, epochs.system, variance, EAST_RAD, _rules(config), risks, closed=closed, spent=spent
     )  # fmt: skip
     levels = found.closed_m if closed else found.root_m
     return np.hypot(levels[..., 0], levels[..., 1])
@@ -78,9 +82,11 @@ def closed_level(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, 
     return _exact(epochs, fit, config, risks, True)
 
 
-def root_level(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array) -> Array:
-    """S2 eq 10-11, the root of the sum over hypotheses.  (E, R)."""
-    return _exact(epochs, fit, config, risks, False)
+def root_level(
+    epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array, spent: Array | None = None
+) -> Array:
+    """S2 eq 10-11, the root of the sum over hypotheses, less a risk (E,) that is already spent.  (E, R)."""
+    return _exact(epochs, fit, config, risks, False, 0.0 if spent is None else spent)
 
 
 def published_level(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array) -> Array:
@@ -100,8 +106,11 @@ def advanced_levels(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfi
     """HPL and VPL of ARAIM with faults of satellites and of constellations, (E, R) each.
 
     With ``config.araim`` the budgets of aviation hold whatever the risks; else each risk is that of the plane and of
-    the vertical alike, with the false alarms and priors of the monitor.
+    the vertical alike, with the false alarms and priors of the monitor. The modes are those that the smallest risk
+    needs, at every risk.
     """
+    budget = config.araim or _road_budget(config, float(risks.min()))
+    times = np.ones(risks.size) if config.araim else risks / risks.min()
     columns = epochs.y_m.shape[1]
     hpl, vpl = np.full((2, fit.df.size, risks.size), np.inf)
     patterns, which = np.unique(fit.used, axis=0, return_inverse=True)
@@ -110,15 +119,19 @@ def advanced_levels(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfi
         if not own.size or not columns:
             continue
         los, variance = epochs.los_enu[own][:, seen], np.square(epochs.sigma_m[own][:, seen])
-        for r, risk in enumerate(risks):
-            budget = config.araim or _road_budget(config, float(risk))
-            modes = enumerate_faults(
-                epochs.system[seen], budget.satellite_prior, budget.constellation_prior,
-                unmonitored_below=budget.unmonitored_below, at_once=budget.at_once,
-            )  # fmt: skip
-            up, plane = enu_levels(los, epochs.system[seen], variance, variance, 0.0, budget, modes)
-            hpl[own, r], vpl[own, r] = np.hypot(plane[:, 0], plane[:, 1]), up
+        modes = _modes(epochs.system[seen].tobytes(), budget)
+        up, plane = levels_at(los, epochs.system[seen], variance, variance, 0.0, budget, modes, times)
+        hpl[own], vpl[own] = np.hypot(plane[..., 0], plane[..., 1]), up
     return hpl, vpl
+
+
+@lru_cache(maxsize=256)
+def _modes(system: bytes, budget: AraimConfig) -> FaultModes:
+    """The fault modes of satellites of these systems; epochs under one sky share them."""
+    return enumerate_faults(
+        np.frombuffer(system, np.int64), budget.satellite_prior, budget.constellation_prior,
+        unmonitored_below=budget.unmonitored_below, at_once=budget.at_once,
+    )  # fmt: skip
 
 
 def _road_budget(config: FamilyMonitorConfig, risk: float) -> AraimConfig:

@@ -8,13 +8,13 @@ from typing import Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.core.plugins import find
 from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.navigators.rtk_reckoning.modes import PositioningMode, mode_named
 from lanebound.integrity.navigators.rtk_reckoning.monitors import Monitor, monitor_named
 from lanebound.integrity.navigators.services.config import ServicesConfig
-from lanebound.integrity.navigators.services.table import SERVICES
+from lanebound.integrity.navigators.services.rules import require_fitting_services
+from lanebound.integrity.navigators.services.table import service_named
 from lanebound.integrity.sensors.gnss import GnssConfig
 
 __all__ = ["RtkReckoningConfig"]
@@ -41,22 +41,8 @@ class RtkReckoningConfig(NavigatorConfig):
         return (value,) if isinstance(value, str) else value
 
     @model_validator(mode="after")
-    def _services_are_known(self) -> Self:
-        for name in self.service:
-            service = find(name, SERVICES, "service")
-            if service.bands > len(self.gnss.bands):
-                raise ConfigError(
-                    f"gnss.bands must hold {service.bands} bands for the service {name}, got {list(self.gnss.bands)}: "
-                    "set [0, 2] for L1 and L5, or take the preset of the service"
-                )
-        if len(set(self.service)) < len(self.service) or {"rtk", "nrtk"} <= set(self.service):
-            raise ConfigError(
-                f"service must name each one once, and rtk or nrtk, got {list(self.service)}: remove one of them"
-            )
-        if any(SERVICES[name].fixes for name in self.service[1:]):
-            raise ConfigError(
-                f"service must name rtk or nrtk first, got {list(self.service)}: their level is the lowest by far"
-            )
+    def _services_fit(self) -> Self:
+        require_fitting_services(self)
         return self
 
     @model_validator(mode="after")
@@ -73,8 +59,8 @@ class RtkReckoningConfig(NavigatorConfig):
 
         Against a virtual station of a network the differential errors are those of its interpolation.
         """
-        chosen, gnss = [SERVICES[name] for name in self.service], self.gnss
-        if "nrtk" in self.service:
+        chosen, gnss = [service_named(name) for name in self.service], self.gnss
+        if any(service.name == "nrtk" for service in chosen):
             left = gnss.augmentation.network
             gnss = gnss.replace(
                 baseline_km=1.0, iono_ppm=left.iono_mm, tropo_ppm=left.tropo_mm, orbit_ppm=left.orbit_mm

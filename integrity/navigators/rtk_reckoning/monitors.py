@@ -14,6 +14,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.plugins import find
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.navigators.rtk_reckoning.drift_stage_kernel import watch_drift
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import (
     judge_fix,
@@ -87,8 +88,14 @@ BUILT_IN = {
             {Point.MOVED: watch_speeds},
         ),
         Monitor(
+            "drift",
+            "RTK positions that drift away from the path by gyro and odometer, over windows of seconds",
+            ("phase", "speed", "turn"),
+            {Point.JUDGED: watch_drift},
+        ),
+        Monitor(
             "jump",
-            "RTK positions that contradict dead reckoning or the backup solution",
+            "RTK positions that contradict dead reckoning, the backup solution or the drift watch",
             ("phase",),
             {Point.JUDGED: judge_fix, Point.BOUNDED: widen_levels},
         ),

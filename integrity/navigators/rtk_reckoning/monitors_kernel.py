@@ -136,10 +136,10 @@ def judge_position(vehicle: Any, par: Any, w: Any, expected: Array, found: Array
     if not vehicle.initialised:
         return ACCEPTED
     east, north = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)
+    conflict = vehicle.conflict_s > CONFLICT_LIMIT_S or vehicle.jump.drifts
     verdict = judge_jump(
         east - vehicle.position[0], north - vehicle.position[1], w.sin_h, w.cos_h, expected[0], found[0],
-        w.fixed.lasting, vehicle.conflict_s > CONFLICT_LIMIT_S, par.jump.after_jump, par.jump.after_outage,
-        vehicle.jump,
+        w.fixed.lasting, conflict, par.jump.after_jump, par.jump.after_outage, vehicle.jump,
     )  # fmt: skip
     return int(verdict)
 
@@ -153,7 +153,7 @@ def reference_point(fixed: Any, lever: Any, sin_h: float, cos_h: float) -> tuple
 
 @jit
 def _use_backup(v: int, state: State, tables: Tables, par: Any, w: Any, found: Array, pl: Array) -> None:
-    """Return to the backup solution where it contradicts an RTK position that lasts.
+    """Return to the backup solution where it or the drift watch contradicts an RTK position that lasts.
 
     ``found`` (R, 2) are the levels of RTK; ``pl`` (R, 2) become those of the backup solution, if it is used [m].
     """
@@ -163,12 +163,12 @@ def _use_backup(v: int, state: State, tables: Tables, par: Any, w: Any, found: A
     east, north = east - backup.position[0], north - backup.position[1]
     at, ct = along_across(east, north, sin_h, cos_h)
     known = backup.age < math.inf and vehicle.since_calibration < math.inf
-    if not (known and (at > found[0, 0] or ct > found[0, 1])):
+    if not (known and (vehicle.jump.drifts or at > found[0, 0] or ct > found[0, 1])):
         return
     reckoning = DeadReckoningState(state.growth[v, BACKUP], state.starts[v, BACKUP], separations_of(state.backup, v))
     levels, later = np.empty_like(pl), later_by(backup.age, vehicle.memory_s, par.risk.fault_duration)
     levels_since_fix(reckoning, tables, par.risk, sin_h, cos_h, later, levels)
-    if contradicts(east, north, sin_h, cos_h, levels[0], found[0]):
+    if vehicle.jump.drifts or contradicts(east, north, sin_h, cos_h, levels[0], found[0]):
         vehicle.position[0], vehicle.position[1] = backup.position[0], backup.position[1]
         vehicle.since_rtk, vehicle.separated = backup.age, True
         pl[:] = levels

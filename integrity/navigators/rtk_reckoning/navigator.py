@@ -29,6 +29,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
     START,
     VEHICLE,
     WORK,
+    Epoch,
     EpochInputs,
     Lasting,
     Measured,
@@ -42,6 +43,7 @@ from lanebound.integrity.navigators.rtk_reckoning.stages import OutsideStage, Se
 from lanebound.integrity.navigators.services.stage import ServiceSet
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.config import RtkConfig
+from lanebound.integrity.positioning.drift_watch_kernel import ANCHOR, DRIFT, DriftWatch
 from lanebound.integrity.positioning.float_filter_kernel import FILTER_ROW, MEASURED, SLOT, STATES, Filtered
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY
 
@@ -62,6 +64,7 @@ class RtkReckoningNavigator(Navigator):
         self._tables = epoch_tables(self.config, self.track.system)
         self._services = ServiceSet(self.config, self.track.system)
         self._stages = StageList(stages_of(self.config, self._services))
+        self._stages.compile_ahead(self._blank_epoch)
         self._excludes = any(Point.MEASURED in monitor.stages for monitor in self.config.chosen_monitors)
 
     def initial_belief(self, batch: int) -> State:
@@ -123,6 +126,11 @@ class RtkReckoningNavigator(Navigator):
         inputs, states = EpochInputs(measured), self._services.with_inputs(m, self.state.extensions)
         run_rows(self._stages, self.batch, lasting, inputs, states, row_us=LOCATE_US)
         return solution_of(m, lasting.values.out)
+
+    def _blank_epoch(self) -> Epoch:
+        """Data of the types of an epoch."""
+        measured = blank_measured(1, len(self.track.system))
+        return Epoch(*self._lasting(self.initial_belief(1)), measured)
 
     def _lasting(self, belief: State) -> Lasting:
         """What the stages work on in every epoch."""
@@ -186,6 +194,7 @@ def blank_state(batch: int, satellites: int, modes: int, cases: int, rtk: RtkCon
         np.zeros((batch, 2), GROWTH),
         np.zeros((batch, 2, cases), START), blank(Influences), blank(Influences), blank(Separations),
         blank(Separations), blank(Courses),
+        DriftWatch(np.zeros(batch, DRIFT), np.zeros((batch, rtk.drift.anchors), ANCHOR)),
     )  # fmt: skip
 
 
@@ -214,6 +223,17 @@ def blank_work(batch: int, satellites: int, cases: int) -> Work:
     return Work(
         np.zeros(batch, WORK), np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_), np.zeros(shape, np.bool_),
         np.zeros((batch, cases, 2)),
+    )  # fmt: skip
+
+
+def blank_measured(batch: int, satellites: int) -> Measured:
+    """Measurements of vehicles, all zeros, in arrays of the types of real ones."""
+    by_satellite, by_band = (batch, satellites), (batch, satellites, 2)
+    return Measured(
+        los=np.zeros((batch, satellites, 3)), sight=np.zeros(batch, np.int64), tracked=np.zeros(by_satellite, np.bool_),
+        cn0=np.zeros(by_satellite), code=np.zeros(by_band), phase=np.zeros(by_band), range_rate=np.zeros(by_satellite),
+        lock_lost=np.zeros(by_satellite, np.bool_), age=np.zeros(batch), turn=np.zeros((batch, 3)),
+        delta_v=np.zeros((batch, 3)), speed=np.zeros(batch), integer_error=np.zeros(by_band, np.int64),
     )  # fmt: skip
 
 

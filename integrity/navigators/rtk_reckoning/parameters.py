@@ -18,6 +18,7 @@ from lanebound.integrity.navigators.rtk_reckoning import records_kernel as rk
 from lanebound.integrity.positioning.config import (
     bound_correlation,
     calibration_parameters,
+    drift_parameters,
     mode_parameters,
     rtk_parameters,
     slip_parameters,
@@ -95,6 +96,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
             after_outage=p.rtk.return_quarantine_s,
             backup=p.rtk.backup_s,
         ),
+        drift=drift_parameters(p, c.dt_s),
         risk=risk_parameters(c.risk, of_lever, p.rtk.reference_bias_m),
         fde=fde_parameters(c.tests, c.risk.monitors_constellations),
         alert=alert_parameters(c.alert),

@@ -15,6 +15,7 @@ from lanebound.integrity.monitoring.detection_kernel import FDE_RULES, Threshold
 from lanebound.integrity.monitoring.doppler_separation_kernel import Influences, Separations
 from lanebound.integrity.monitoring.heading_separation_kernel import SPREAD, Courses
 from lanebound.integrity.monitoring.jump_kernel import JUMP
+from lanebound.integrity.positioning.drift_watch_kernel import DRIFT_RULES, DriftWatch
 from lanebound.integrity.positioning.float_filter_kernel import Filtered
 from lanebound.integrity.positioning.heading_kernel import CALIBRATION, HEADING
 from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
@@ -111,6 +112,7 @@ PARAMETERS = record(
     modes=(MODE_LIMITS, "conditions of the positioning modes"),
     lever=(LEVER, "antenna and axle"),
     jump=(JUMP_RULES, "jump monitor"),
+    drift=(DRIFT_RULES, "drift watch"),
     risk=(RISK_RULES, "risk and its allocation"),
     fde=(FDE_RULES, "fault detection and exclusion"),
     alert=(ALERT_RULES, "alert limits and times"),
@@ -192,8 +194,8 @@ class State(NamedTuple):
 
     vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; filtered: filters of the float ambiguities; growth (B, 2)
     of GROWTH and starts (B, 2, R) of START, for LATEST and BACKUP, whose separations are ``latest`` and ``backup``;
-    last_influences and influences of the velocities at the beginning and at the end of the epoch; courses. Arrays of
-    fault modes are (B, W).
+    last_influences and influences of the velocities at the beginning and at the end of the epoch; courses; drift
+    watches. Arrays of fault modes are (B, W).
     """
 
     vehicles: Records
@@ -206,6 +208,7 @@ class State(NamedTuple):
     latest: Separations
     backup: Separations
     courses: Courses
+    drift: DriftWatch
 
 
 # Measurements

@@ -95,5 +95,11 @@ class StageList:
             else:
                 part(first, last, lasting, inputs)
 
+    def compile_ahead(self, make: Callable[[], Epoch]) -> None:
+        """Begin to compile in a second process if nothing is cached; ``make`` returns data of the expected types."""
+        for part in self._parts:
+            if isinstance(part, Chain):
+                part.compile_ahead(make)
+
     def __reduce__(self) -> tuple[Any, ...]:
         return StageList, (self._stages,)

@@ -25,7 +25,7 @@ from lanebound.integrity.navigators.services.records_kernel import (
     ServiceState,
     ServiceTables,
 )
-from lanebound.integrity.navigators.services.table import SERVICES, Service
+from lanebound.integrity.navigators.services.table import Service, declared_of, service_named
 from lanebound.integrity.navigators.services.zenith_kernel import CARRIER_RULES, ZENITH, CarrierTables
 from lanebound.integrity.positioning.smoothing_kernel import HATCH
 from lanebound.integrity.sky.systems import WAVELENGTH_M, System
@@ -60,7 +60,7 @@ def band_shares(wavelength_m: Array, combined: bool) -> Array:
 
 def service_tables(config: RtkReckoningConfig, service: Service, system: NDArray[np.int64]) -> ServiceTables:
     """The parameters of a code service for satellites of these systems (S,)."""
-    declared: CodeServiceConfig = getattr(config.services, service.name)
+    declared = declared_of(config, service)
     share_of_risk = risk_share(config, declared)
     own = config.replace(
         risk={
@@ -96,7 +96,7 @@ def risk_share(config: RtkReckoningConfig, declared: CodeServiceConfig) -> float
     """
     if declared.risk_share is not None:
         return declared.risk_share
-    return 1.0 / (1.0 + sum(not SERVICES[name].fixes for name in config.service))
+    return 1.0 / (1.0 + sum(not service_named(name).fixes for name in config.service))
 
 
 def service_rules(declared: CodeServiceConfig, service: Service, dt_s: float) -> Records:
@@ -184,10 +184,10 @@ class ServiceSet:
     """
 
     def __init__(self, config: RtkReckoningConfig, system: NDArray[np.int64]) -> None:
-        chosen = [SERVICES[name] for name in config.service]
+        chosen = [service_named(name) for name in config.service]
         self._coded = [service for service in chosen if not service.fixes]
         self._satellites = len(system)
-        self._declared = {s.name: getattr(config.services, s.name) for s in self._coded}
+        self._declared = {s.name: declared_of(config, s) for s in self._coded}
         self.with_rtk = any(service.fixes for service in chosen)
         self._network = any(service.name == "nrtk" for service in chosen)
         self._tables = {service.name: service_tables(config, service, system) for service in self._coded}

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import require_finite
+from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
 from lanebound.integrity.positioning.map_matching.matching import (
     HiddenMarkovConfig,
     MapMatcher,
@@ -53,48 +54,50 @@ def transition(road_map: RoadMap, before: NearLinks, now: NearLinks, moved_m: Ar
 class HiddenMarkovMatcher:
     """Forward filter: the probability of each candidate link given all positions up to now, and the likeliest link.
 
-    A vehicle whose candidates no route joins begins anew with the emissions.
+    A vehicle whose candidates no route joins begins anew with the emissions. ``memory``: the candidates of the last
+    position (fields of NearLinks), their log_probability (B, K), and moved_m (B,) since.
     """
 
     def __init__(self, road_map: RoadMap, config: MatchingConfig, batch: int) -> None:
         self.road_map, self.config = road_map, config
         k = config.candidates
         none = np.full((batch, k), NO_LINK)
-        self.near = NearLinks(
+        near = NearLinks(
             none, np.full((batch, k), np.inf), np.zeros((batch, k)), np.zeros((batch, k, 2)), np.zeros((batch, k))
         )
-        self.log_probability = np.full((batch, k), -np.inf)
-        self.moved_m = np.zeros(batch)
+        self.memory: Memory = {
+            **near._asdict(), "log_probability": np.full((batch, k), -np.inf), "moved_m": np.zeros(batch)
+        }  # fmt: skip
 
-    def step(self, inputs: MatchInputs) -> MapMatches:
+    def step(self, inputs: MatchInputs, rows: Rows = EVERY) -> MapMatches:
         """The likeliest link and its probability; vehicles without a position keep what they know."""
-        batch, c, h = self.moved_m.size, self.config, self.config.hidden_markov
+        before = NearLinks(*(self.memory[name][rows] for name in NearLinks._fields))
+        logs, moved = self.memory["log_probability"][rows], self.memory["moved_m"][rows] + inputs.moved_m
+        batch, c, h = moved.size, self.config, self.config.hidden_markov
         require_batch(inputs, batch)
         near = _padded(self.road_map.near(inputs.position_en_m, c.radius_m, c.candidates), c.candidates)
-        self.moved_m += inputs.moved_m
         sigma = None if h.heading_sigma_deg is None else float(np.deg2rad(h.heading_sigma_deg))
         seen = emission(near, inputs, sigma)
-        joint = self.log_probability[:, :, None] + transition(self.road_map, self.near, near, self.moved_m, h)
-        predicted = _log_sum(joint)
-        found = predicted + seen
+        joint = logs[:, :, None] + transition(self.road_map, before, near, moved, h)
+        found = _log_sum(joint) + seen
         lost = np.asarray(~np.isfinite(found).any(-1))
         found = np.where(lost[:, None], seen, found)
         probability = normalised(found)
-        out = _likeliest(near, probability)
         usable = inputs.usable & near.there[:, 0]
         with np.errstate(divide="ignore"):
-            logs = np.log(probability)
-        self.near = NearLinks(*(
-            np.where(usable.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-            for new, old in zip(near, self.near, strict=True)
-        ))  # fmt: skip
-        self.log_probability = np.where(usable[:, None], logs, self.log_probability)
-        self.moved_m = np.where(usable, 0.0, self.moved_m)
-        return out.where(inputs.usable, MapMatches.none(batch))
+            self._keep(rows, usable, {**near._asdict(), "log_probability": np.log(probability)})
+        self.memory["moved_m"][rows] = np.where(usable, 0.0, moved)
+        return _likeliest(near, probability).where(inputs.usable, MapMatches.none(batch))
 
-    def forget(self, rows: Ints | slice) -> None:
+    def _keep(self, rows: Rows, usable: NDArray[np.bool_], now: Memory) -> None:
+        """Remember what is new of the vehicles with a position."""
+        for name, new in now.items():
+            old = self.memory[name][rows]
+            self.memory[name][rows] = np.where(usable.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    def forget(self, rows: Rows) -> None:
         """Begin with the emissions alone."""
-        self.log_probability[rows], self.moved_m[rows] = -np.inf, 0.0
+        self.memory["log_probability"][rows], self.memory["moved_m"][rows] = -np.inf, 0.0
 
 
 def _padded(near: NearLinks, columns: int) -> NearLinks:

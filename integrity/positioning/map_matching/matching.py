@@ -6,7 +6,7 @@ and the hidden Markov matcher of Newson and Krumm. All take batches of vehicles;
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple, Protocol, Self
 
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError, require_finite
 from lanebound.integrity.core.frames import wrap_angle
+from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
 from lanebound.integrity.positioning.map_matching.road_map import NO_LINK, NearLinks, RoadMap
 
 __all__ = [
@@ -160,11 +161,12 @@ class MapMatcher(Protocol):
     """A matcher of a batch of vehicles; it remembers their last match."""
 
     road_map: RoadMap
+    memory: Memory
 
-    def step(self, inputs: MatchInputs) -> MapMatches:
-        """Match the positions of an epoch; vehicles without a position have no match."""
+    def step(self, inputs: MatchInputs, rows: Rows = EVERY) -> MapMatches:
+        """Match the positions of the vehicles in ``rows``; vehicles without a position have no match."""
 
-    def forget(self, rows: Ints | slice) -> None:
+    def forget(self, rows: Rows) -> None:
         """Begin anew with these vehicles."""
 
 
@@ -201,8 +203,9 @@ class NearestLink:
 
     road_map: RoadMap
     config: MatchingConfig
+    memory: Memory = field(default_factory=dict)
 
-    def step(self, inputs: MatchInputs) -> MapMatches:
+    def step(self, inputs: MatchInputs, rows: Rows = EVERY) -> MapMatches:
         """The nearest link; its probability is that of the emissions alone."""
         near = self.road_map.near(inputs.position_en_m, self.config.radius_m, self.config.candidates)
         probability = normalised(emission(near, inputs))[:, 0]
@@ -210,7 +213,7 @@ class NearestLink:
             inputs.usable, MapMatches.none(probability.size)
         )
 
-    def forget(self, rows: Ints | slice) -> None:
+    def forget(self, rows: Rows) -> None:
         """Nothing lasts."""
 
 
@@ -219,32 +222,32 @@ class TopologicalMatcher:
 
     ``score = w_h cos(dtheta) + w_d (1 - d / scale) + w_c c`` with c = 1 on the last link and on links that it leads
     to, 0 on links that begin where it begins (a choice at a junction can be corrected) or without a last link, -1 on
-    others. A vehicle that is too slow to have a heading stays on its link.
+    others. A vehicle that is too slow to have a heading stays on its link. ``memory``: link (B,), the last one.
     """
 
     def __init__(self, road_map: RoadMap, config: MatchingConfig, batch: int) -> None:
         self.road_map, self.config = road_map, config
-        self.link = np.full(batch, NO_LINK)
+        self.memory: Memory = {"link": np.full(batch, NO_LINK)}
 
-    def step(self, inputs: MatchInputs) -> MapMatches:
+    def step(self, inputs: MatchInputs, rows: Rows = EVERY) -> MapMatches:
         """The link of the highest score."""
-        c, w = self.config, self.config.topological
+        c, w, last = self.config, self.config.topological, self.memory["link"][rows]
         near = self.road_map.near(inputs.position_en_m, c.radius_m, c.candidates)
         score = w.heading * heading_agreement(near, inputs)
         score = score + w.distance * np.maximum(1.0 - np.where(near.there, near.distance_m, 0.0) / w.scale_m, -1.0)
-        score = score + w.connection * connectivity(self.road_map, self.link, near.link)
-        stays = (inputs.speed_mps[:, None] < STEADY_MPS) & (near.link == self.link[:, None])
+        score = score + w.connection * connectivity(self.road_map, last, near.link)
+        stays = (inputs.speed_mps[:, None] < STEADY_MPS) & (near.link == last[:, None])
         score = np.where(near.there, score + 10.0 * stays, -np.inf)
         best = np.argmax(score, -1)
         sigma = None if c.hidden_markov.heading_sigma_deg is None else np.deg2rad(c.hidden_markov.heading_sigma_deg)
         probability = normalised(emission(near, inputs, sigma))[np.arange(best.size), best]
         out = MapMatches.chosen(near, best, probability).where(inputs.usable, MapMatches.none(best.size))
-        self.link = np.where(out.link == NO_LINK, self.link, out.link)
+        self.memory["link"][rows] = np.where(out.link == NO_LINK, last, out.link)
         return out
 
-    def forget(self, rows: Ints | slice) -> None:
+    def forget(self, rows: Rows) -> None:
         """Begin without a last link."""
-        self.link[rows] = NO_LINK
+        self.memory["link"][rows] = NO_LINK
 
 
 def connectivity(road_map: RoadMap, last: Ints, link: Ints) -> Array:

@@ -13,8 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
 from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 
@@ -180,6 +178,9 @@ class RoadMap:
     @cached_property
     def _routes(self) -> tuple[Array, Ints]:
         """Length of the shortest route between any two nodes (N, N), inf without one, and its last node but one."""
+        from scipy.sparse import coo_array  # a third of a second, which only routes need
+        from scipy.sparse.csgraph import dijkstra
+
         nodes, order = self.node_en_m.shape[0], np.argsort(-self.length_m, kind="stable")
         shortest: dict[tuple[int, int], float] = {
             (int(self.link_from[i]), int(self.link_to[i])): float(self.length_m[i]) for i in order

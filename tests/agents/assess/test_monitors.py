@@ -130,6 +130,29 @@ def test_simulated_streets_hold_what_monitors_need_and_no_truth() -> None:
     assert np.median(np.abs(error[known])) < 6.0
 
 
+def test_the_fault_campaign_tells_when_monitors_notice(tmp_path: Path) -> None:
+    """Under an open sky: a step of 50 m of one satellite, and a system that drifts away."""
+    cases = ["step of one satellite", "ramp of a system"]
+    config = MonitorsConfig.load({
+        "skies": ["open"], "streets": 1, "monitors": ["separation", "separation_fde", "sbas", "craim"],
+        "drives": {**SHORT, "skies": ["open"], "faults": None}, "errors": "errors/berlin_potsdamer",
+        "campaign": {"cases": cases, "onset_s": 2.0, "length_s": 4.0, "after_s": 1.0, "every": 5},
+    })  # fmt: skip
+    found = assess_monitors(config, None, tmp_path / "campaign")
+    tried = found["campaign"]["open"]
+    assert list(tried) == cases
+    step, ramp = (tried[case] for case in cases)
+    assert max(step["separation_fde"]["noticed_s"]) <= 0.5
+    assert max(step["separation"]["noticed_s"]) <= 0.5
+    assert step["sbas"]["noticed_s"] == [None, None]  # it tests nothing
+    assert not any(step["separation_fde"]["failed"])  # excluded
+    assert max(ramp["separation"]["alert_s"]) <= max(ramp["sbas"]["alert_s"])
+    assert any(ramp["sbas"]["failed"])
+    craim = found["places"]["open"]["monitors"]["craim"]
+    assert craim["exceed"]["0.01"]["events"] == 0
+    assert "faults" in write_page(config, found, tmp_path)[0].read_text(encoding="utf-8")
+
+
 def test_mistakes_are_refused(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--data or --sky, got both or none"):
         assess_monitors(MonitorsConfig(), None, tmp_path)

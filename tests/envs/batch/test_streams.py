@@ -10,6 +10,7 @@ from lanebound.envs.batch.streams import CrewStreams
 from lanebound.integrity.core import streams_kernel as sk
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.streams import ZIGGURAT, Streams, named_states
+from lanebound.integrity.sensors.draws_kernel import draw_normals_at, draw_uniforms_at
 
 THERE = np.ones((2, 2), dtype=np.bool_)
 USED = np.array([[True, True, False, True], [False, True, True, False]])
@@ -79,3 +80,29 @@ def test_they_go_on_with_those_of_others() -> None:
     same = CrewStreams([8], [9], THERE[:1, :1], USED[:1, 1:3])
     np.testing.assert_array_equal(crew.normal("imu")[2:4], same.normal("imu"))
     np.testing.assert_array_equal(crew.normal("gnss", 2, 3)[2:4], same.normal("gnss", 2, 3))
+
+
+def test_kernels_draw_for_the_places_taken_what_the_streams_of_egos_draw() -> None:
+    nobody = np.ones((2, 0), dtype=np.bool_)
+    crew, same = CrewStreams(SEEDS, FLEETS, nobody, USED), CrewStreams(SEEDS, FLEETS, nobody, USED)
+    assert crew.draws_by_row
+    assert not CrewStreams(SEEDS, FLEETS, THERE, USED).draws_by_row
+    normals, uniforms = np.full((2, 4 * 3), 7.0), np.full((2, 4 * 2), 7.0)
+    for used in (USED, ~USED):  # of another hour: places that were taken are empty now
+        for streams in (crew, same):
+            streams.places[:] = used
+        draw_normals_at(0, 2, crew.states("gnss"), crew.places, ZIGGURAT, normals)
+        draw_uniforms_at(0, 2, crew.states("gnss"), crew.places, uniforms)
+        np.testing.assert_array_equal(normals.reshape(2, 4, 3), same.normal("gnss", 4, 3))
+        np.testing.assert_array_equal(uniforms.reshape(2, 4, 2), same.uniform("gnss", 4, 2))
+        assert normals.reshape(2, 4, 3)[used].all()
+
+
+def test_without_places_kernels_draw_for_all_satellites() -> None:
+    streams, same = Streams(SEEDS), Streams(SEEDS)
+    assert streams.draws_by_row
+    normals, uniforms = np.empty((2, 12)), np.empty((2, 8))
+    draw_normals_at(0, 2, streams.states("gnss"), streams.places, ZIGGURAT, normals)
+    draw_uniforms_at(0, 2, streams.states("gnss"), streams.places, uniforms)
+    np.testing.assert_array_equal(normals, same.normal("gnss", 12))
+    np.testing.assert_array_equal(uniforms, same.uniform("gnss", 8))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
+from signed_w import w_statistics
 
 from lanebound.integrity.assessment.drift_model import DriftConfig, Outage, draw_drift
 from lanebound.integrity.assessment.measurement_model import Case, draw_case
@@ -13,7 +14,6 @@ from lanebound.integrity.monitoring.detection import (
     diagonal_covariance,
     minimal_detectable_bias,
     normal_threshold,
-    w_statistics,
 )
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.monitoring.significance import noncentrality

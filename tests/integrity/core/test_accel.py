@@ -168,7 +168,7 @@ def package(monkeypatch, tmp_path):
     monkeypatch.setattr(kernel_cache, "__file__", str(tmp_path / "integrity/core/kernel_cache.py"))
     monkeypatch.setattr(kernel_cache, "cache_root", lambda: tmp_path)
 
-    def directory(name):
+    def forget():
         for remembered in (
             kernel_cache.sources_of,
             kernel_cache._imports,
@@ -176,9 +176,13 @@ def package(monkeypatch, tmp_path):
             kernel_cache._named_tuples,
         ):
             remembered.cache_clear()
+
+    def directory(name):
+        forget()
         return kernel_cache.cache_directory(tmp_path / name)
 
-    return tmp_path, directory
+    yield tmp_path, directory
+    forget()
 
 
 def test_the_directory_changes_with_the_sources_of_a_kernel_and_no_other(package):

@@ -107,7 +107,7 @@ def test_rows_do_not_depend_on_each_other() -> None:
         fix = fix_at(place, np.column_stack([0.0 * speed, speed]), rng, code_m=2.0)
         found = together.step(fix, speed)
         for v, monitor in enumerate(alone):
-            own = monitor.step(CodeFix(*(part.take([v]) for part in fix)), speed[v : v + 1])
+            own = monitor.step(CodeFix(fix.codes.take([v]), fix.rates.take([v])), speed[v : v + 1])
             for name in ("warn", "reason", "phases", "link"):
                 assert getattr(own, name)[0] == getattr(found, name)[v]
             assert own.score[0] == pytest.approx(found.score[v], abs=1e-9)

@@ -16,6 +16,7 @@ from lanebound.integrity.monitoring.context.speed_phase import (
     mase,
     trend_error,
 )
+from lanebound.integrity.positioning.code_solution import solve_ranges
 from lanebound.integrity.positioning.map_matching.matching import MapMatches
 
 SDOP = [0.12, 0.15, 0.11, 0.2, 0.18, 0.14, 0.13, 0.16, 0.19, 0.17, 0.15]  # eleven samples, N = 10
@@ -241,3 +242,19 @@ def test_sums_cover_the_last_n_epochs_alone() -> None:
         foot = [0.0, 10.0 * k + (50.0 if k >= 5 else 0.0)]  # one jump along the link, between epochs 4 and 5
         found = phase.step(match_at(foot), np.array([[0.0, 10.0 * k]]), np.ones(1), *np.array([[0.0], [10.0]]), 1.0)
         assert found.distance_m[0] == pytest.approx(50.0 if 5 <= k <= 8 else 0.0)
+
+
+def test_the_printed_level_is_that_of_codes_with_errors_of_one_metre() -> None:
+    """Equal deviations of 1 m make the printed slope and the plain HDOP those of Walter and Enge; of 3 m a third."""
+    rng = np.random.default_rng(4)
+    azimuth, elevation = rng.uniform(0.0, 2.0 * np.pi, (5, 12)), rng.uniform(0.2, 1.5, (5, 12))
+    flat = np.cos(elevation)
+    los = np.stack([flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation)], -1)
+    system = np.arange(12) % 2
+    metre, three = (
+        solve_ranges(los, np.zeros((5, 12)), sigma**2, np.ones((5, 12), bool), system) for sigma in (1.0, 3.0)
+    )
+    own = check_position(metre, PositionPhaseConfig()).level_m
+    printed = check_position(three, PositionPhaseConfig(printed_slope=True), metre.hdop_m).level_m
+    np.testing.assert_allclose(printed, own, rtol=1e-9)
+    np.testing.assert_allclose(check_position(three, PositionPhaseConfig()).level_m, 3.0 * own, rtol=1e-9)

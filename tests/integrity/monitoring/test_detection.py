@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2, norm
+from signed_w import w_statistics
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.detection import (
@@ -21,7 +22,6 @@ from lanebound.integrity.monitoring.detection import (
     mode_statistics,
     separate,
     separation_test,
-    w_statistics,
     w_test,
 )
 from lanebound.integrity.monitoring.significance import noncentrality

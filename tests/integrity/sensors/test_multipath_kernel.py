@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lanebound.integrity.sensors.multipath_kernel import (
+    ARRIVAL,
     Loops,
-    arrivals_of,
     code_delay,
     combine,
     follow_carrier,
@@ -21,6 +21,11 @@ from lanebound.integrity.sensors.multipath_kernel import (
 
 L1_M, CHIP_M = 0.190294, 293.05
 LOOPS = Loops(L1_M, CHIP_M, 0.1, 1.0, 15.0)
+
+
+def arrivals_of(*rows: tuple[float, float, float, float]) -> Any:
+    """Records ARRIVAL from rows (amplitude, phase, excess, rate), new in this epoch."""
+    return np.array([(*row, row[2]) for row in rows], dtype=ARRIVAL)
 
 
 def discriminator(t: np.ndarray, weights: list[float], delays: list[float], half: float) -> np.ndarray:

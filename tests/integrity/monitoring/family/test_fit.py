@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from code_geometry import quiet, sky
+from signed_w import w_statistics
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance, w_statistics
+from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import row_correlation, solve_codes
 from lanebound.integrity.positioning.least_squares import Solvability, design_matrix

@@ -5,15 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from code_geometry import quiet, ring, sky
+from residual_forms import parity_statistic, range_comparison_statistic, residual_statistic
 from scipy.stats import binom, ncx2
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
-from lanebound.integrity.monitoring.family.equivalent import (
-    parity_statistic,
-    range_comparison_statistic,
-    residual_statistic,
-)
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.levels import fixed_level_false_alarm, noncentralities, predicted_level

@@ -1,7 +1,6 @@
 """The residual test in its three forms (S3 III-A): residuals, parity space, range comparison; all are the same number.
 
-The forms take a full design matrix, one epoch or many, without masks. They exist to be compared: monitors use the
-residuals.
+The forms take a full design matrix, one epoch or many, without masks. Monitors use the residuals.
 """
 
 from __future__ import annotations

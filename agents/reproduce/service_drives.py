@@ -1,0 +1,120 @@
+"""Drives of the study of services: what a vehicle has in an epoch, and the convergence of PPP at rest.
+
+HDOP is that of the satellites of the service that are tracked above its mask, with the clocks of its systems. A service
+is ``corrected`` while the corrections that the vehicle holds are not older than their time-outs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.agents.assess.street_drives import StreetDrivesConfig, street_of
+from lanebound.agents.checkpointing.runner import Advance, ignore
+from lanebound.integrity.core.frames import track_from_enu_matrix
+from lanebound.integrity.motion.truth import truth_between
+from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
+from lanebound.integrity.navigators.services.table import declared_of, service_named
+from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sky.systems import System
+
+__all__ = ["HOURS", "ServiceMoment", "converge", "drive_service_street", "hdop"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+HOUR_S, WEEK_S = 3600, 604_800
+HOURS = 24
+NO_DOP = 1e3
+
+
+class ServiceMoment(NamedTuple):
+    """An epoch of B vehicles: error (B, 2) along and across the track [m], solution, HDOP (B,), corrected (B,)."""
+
+    error_m: Array
+    solution: Solution
+    hdop: Array
+    corrected: Bools
+
+
+def drive_service_street(config: StreetDrivesConfig, sky: str, number: int) -> Iterator[ServiceMoment]:
+    """The epochs of a street after the warm-up, for the first service of the navigator."""
+    navigator, drive = street_of(config, sky, number)
+    first, epochs = (round(time_s / navigator.config.dt_s) for time_s in (config.warm_up_s, config.span_s))
+    for k, truth in zip(range(epochs), drive, strict=False):
+        measured = navigator.measure(truth)
+        solution = navigator.locate(measured)
+        if k < first:
+            continue
+        error = solution.position_en_m - truth.position_enu_m[:, :2]
+        turned = np.einsum("bij,bj->bi", track_from_enu_matrix(truth.heading_rad), error)
+        yield ServiceMoment(turned, solution, hdop(navigator.config, measured), corrected(navigator.config, measured))
+
+
+def hdop(config: Any, m: Measurements) -> Array:
+    """HDOP of the satellites of the first service, (B,); NO_DOP where they do not determine a position."""
+    service = service_named(config.service[0])
+    systems, mask_deg = tuple(System.__members__), config.positioning.rtk.elevation_mask_deg
+    if not service.fixes:
+        declared = declared_of(config, service)
+        systems, mask_deg = declared.systems, declared.elevation_mask_deg
+    numbers = [int(System[name]) for name in systems]
+    los = m.sky.los_enu[m.sky.index]
+    used = m.gnss.tracked & np.isin(m.sky.system, numbers) & (los[..., 2] > np.sin(np.deg2rad(mask_deg)))
+    clocks = (m.sky.system[:, None] == np.array(numbers)).astype(np.float64)
+    design = np.concatenate([-los, np.broadcast_to(clocks, (*los.shape[:2], len(numbers)))], -1) * used[..., None]
+    normal = np.swapaxes(design, 1, 2) @ design
+    absent = np.einsum("bii->bi", normal) == 0.0  # clocks of systems without a satellite
+    normal = normal + np.where(absent[:, :, None], np.eye(normal.shape[1]), 0.0)
+    out = np.full(len(used), NO_DOP)
+    good = np.linalg.cond(normal) < 1e10
+    if good.any():
+        cofactor = np.linalg.inv(normal[good])
+        out[good] = np.sqrt(cofactor[:, 0, 0] + cofactor[:, 1, 1])
+    return out
+
+
+def corrected(config: Any, m: Measurements) -> Bools:
+    """Whether the first service has what it needs of its provider, (B,); True without a provider."""
+    service = service_named(config.service[0])
+    if service.provider is None or m.gnss.corrections is None:
+        return np.isfinite(m.gnss.corrections_age_s) if service.fixes else np.ones(len(m.gnss.tracked), np.bool_)
+    held, declared = m.gnss.corrections[service.provider], declared_of(config, service)
+    in_time = held.age_s <= declared.max_age_s
+    return in_time & (held.zenith_age_s <= declared.zenith_max_age_s) if held.has_zenith else in_time
+
+
+def converge(
+    seed: int, hour: int, vehicles: int, minutes: int, every_s: int = 60, advance: Advance = ignore
+) -> dict[str, list[float]]:
+    """PPP of vehicles that stand under an open sky, by the minute since they were switched on.
+
+    Returns lists by ``every_s``: the error on an axis (rms) and the largest on both axes [m], the median level of the
+    larger axis [m], the share of vehicles with a position of PPP, and of errors beyond a level.
+    """
+    base = NavigatorConfig.preset("services/ppp").replace(dt_s=1.0, service=["ppp"])
+    config = base.replace(sky={"week_second_s": (base.sky.week_second_s + HOUR_S * hour) % WEEK_S})
+    seeds = [int(s) for s in np.random.SeedSequence([seed, hour]).generate_state(vehicles)]
+    epochs = 60 * minutes
+    navigator = Navigator.nominal(config, seeds=seeds, duration_s=epochs + 60.0)
+    zero, still = np.zeros((vehicles, 2)), np.zeros(vehicles)
+    navigator.place(zero, still, 30.0, 0.01)
+    out: dict[str, list[float]] = {key: [] for key in ("rms_m", "largest_m", "level_m", "ppp", "beyond")}
+    recent = np.zeros(vehicles, np.bool_)
+    for k in range(epochs):
+        solution = navigator.step(truth_between(k + 1.0, 1.0, (zero, zero), (zero, zero), (still, still)))
+        recent |= solution.mode == Mode.PPP
+        if (k + 1) % every_s == 0:
+            error, level = np.abs(solution.position_en_m), np.stack([solution.pl_ct_m, solution.pl_at_m], -1)
+            out["rms_m"].append(float(np.sqrt(np.mean(np.square(error)))))
+            out["largest_m"].append(float(error.max()))
+            out["level_m"].append(float(np.median(level.max(-1))))
+            out["ppp"].append(float(recent.mean()))
+            out["beyond"].append(float((error > level).any(-1).mean()))
+            recent[:] = False
+        advance((k + 1) / epochs)
+    return out

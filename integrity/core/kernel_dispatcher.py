@@ -1,0 +1,148 @@
+"""Numba's dispatcher, with the part that Python calls compiled only for kernels that Python calls.
+
+Numba compiles with every function a wrapper that takes Python objects, and another for C. Most kernels are called by
+kernels alone. For a NamedTuple of many arrays the wrappers take several times as long to compile as a short kernel, and
+each caller compiles those of its callees again.
+
+A :class:`Kernel` therefore has two forms for each signature: without wrappers, for its callers in compiled code and for
+calls by address, and with the Python wrapper, compiled at the first call from Python. Both contain the same code of the
+kernel and are cached separately.
+"""
+
+# mypy: allow-untyped-calls
+
+from __future__ import annotations
+
+import gc
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core import sigutils
+from numba.core.caching import FunctionCache
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import CPUDispatcher
+
+__all__ = ["Kernel", "kernel_of"]
+
+INNER, OUTER = "inner", "outer"  # forms in the cache: without and with the Python wrapper
+
+COLLECTION = 100_000  # new objects between two collections while kernels are compiled
+
+
+def kernel_of(function: Callable[..., Any], **options: Any) -> Any:
+    """``numba.njit(**options)(function)`` as a :class:`Kernel`; the function itself where Numba is switched off."""
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    return Kernel(function, targetoptions={"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, **options})
+
+
+class Kernel(CPUDispatcher):
+    """A compiled function with or without the wrapper for calls from Python, per signature."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._replaced: list[Any] = []  # results without wrapper, whose machine code is still called
+
+    def enable_caching(self) -> None:
+        """Cache on disk, in the directory that Numba's configuration names."""
+        self._cache = _KernelCache(self)
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Numba's: types of a call by another kernel, which needs no wrapper."""
+        with self._form(INNER):
+            return super().get_call_template(args, kws)
+
+    def compile(self, sig: Any) -> Any:
+        """Compile for a signature: with the wrapper, unless another kernel is the caller."""
+        with global_compiler_lock:
+            args, _ = sigutils.normalize_signature(sig)
+            if not self._is_inner and (found := self.overloads.get(tuple(args))) is not None and not _is_outer(found):
+                self._replaced.append(self.overloads.pop(tuple(args)))
+            with _rare_collection():
+                return super().compile(sig)
+
+    def address(self, signature: tuple[Any, ...]) -> np.uintp:
+        """Where the machine code for a signature begins; compiled now if it is not yet."""
+        with self._form(INNER):
+            self.compile(signature)
+        found: Any = self.overloads[signature]
+        return np.uintp(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
+
+    @property
+    def is_cached(self) -> bool:
+        """Whether some form of the kernel is cached on disk, for the present sources."""
+        return isinstance(self._cache, _KernelCache) and os.path.exists(self._cache._cache_file._index_path)
+
+    def add_overload(self, cres: Any) -> None:
+        """Numba's: Python finds a compiled form only with the wrapper."""
+        if _is_outer(cres):
+            super().add_overload(cres)
+        else:
+            self.overloads[tuple(cres.signature.args)] = cres
+
+    @property
+    def _is_inner(self) -> bool:
+        return bool(self.targetoptions.get("no_cpython_wrapper", False))
+
+    @contextmanager
+    def _form(self, form: str) -> Iterator[None]:
+        """Context in which a form is compiled and loaded; Numba's lock is held."""
+        with global_compiler_lock:
+            options, name = self.targetoptions, "no_cpython_wrapper"
+            before = options.get(name, False)
+            options[name] = form == INNER
+            try:
+                yield
+            finally:
+                options[name] = before
+
+
+def _is_outer(result: Any) -> bool:
+    """Whether a compiled function has a wrapper for Python."""
+    return bool(result.library.get_pointer_to_function(result.fndesc.llvm_cpython_wrapper_name))
+
+
+@contextmanager
+def _rare_collection() -> Iterator[None]:
+    """Context in which Python collects garbage rarely: a tenth of the time to compile. Numba's lock is held."""
+    before = gc.get_threshold()
+    if 0 < before[0] < COLLECTION:
+        gc.set_threshold(COLLECTION, *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
+class _KernelCache(FunctionCache):
+    """Numba's cache of a function, with an entry for each form.
+
+    Two processes that save at the same time write different files, so that no entry refers to the code of another.
+    """
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(kernel.py_func)
+        self._kernel, self._saved_form = kernel, ""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The result for a signature, with the wrapper where only that form is cached; None if it must be compiled."""
+        forms = (INNER, OUTER) if self._kernel._is_inner else (OUTER,)
+        for form in forms:
+            self._saved_form = form
+            if (found := super().load_overload(sig, target_context)) is not None:
+                return found
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save a result in its form."""
+        self._saved_form = INNER if self._kernel._is_inner else OUTER
+        file = self._cache_file
+        file._data_name_pattern = f"{self._impl.filename_base}-{os.getpid()}.{{number:d}}.nbc"
+        super().save_overload(sig, data)
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return (*super()._index_key(sig, codegen), self._saved_form)

@@ -1,0 +1,40 @@
+"""Monitor ``velocity_switch``: S2's choice between the velocity of GNSS and that of heading and odometer.
+
+S2 section 8: where the two velocity vectors differ by more than 0.25 m/s, the position moves by heading and odometer.
+The modes of S1 compare speeds alone, with 0.5 m/s. ``navigator.monitors`` adds this test by the name
+``lanebound.integrity.navigators.services.velocity_switch:velocity_switch``. The course of heading and odometer is that
+in the middle of an epoch. Before the first heading nothing is compared, nor while the odometer is doubted.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.navigators.rtk_reckoning.extension_kernel import refuse_doppler
+from lanebound.integrity.navigators.rtk_reckoning.monitors import Point, register_monitor
+
+__all__ = ["LARGEST_MPS", "switch_velocity"]
+
+LARGEST_MPS = 0.25  # difference of the two velocity vectors, S2 section 8
+
+
+@jit
+def switch_velocity(first: int, last: int, epoch: Any, own: Any) -> None:
+    """Refuse the Doppler velocity where it differs from that of heading and odometer by more than LARGEST_MPS."""
+    for v in range(first, last):
+        vehicle, w, speed = epoch.state.vehicles[v], epoch.work.vehicles[v], epoch.measured.speed[v]
+        if not w.measured or vehicle.watch.doubted or not vehicle.since_calibration < math.inf:
+            continue
+        east, north = w.v_e - speed * math.sin(w.middle), w.v_n - speed * math.cos(w.middle)
+        if east * east + north * north > LARGEST_MPS * LARGEST_MPS:
+            refuse_doppler(w)
+
+
+register_monitor(
+    "velocity_switch",
+    "Doppler velocities that differ from heading and odometer by more than 0.25 m/s do not move the position (S2)",
+    ("range_rate", "speed", "turn"),
+    {Point.ESTIMATED: switch_velocity},
+)

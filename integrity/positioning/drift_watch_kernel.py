@@ -1,0 +1,258 @@
+"""The drift watch: RTK displacements against the path by gyro and odometer, over windows of up to some seconds.
+
+The path from an anchor, ``a`` in E and N, has an almost constant error of scale s and of course c. The displacement of
+RTK over the same window is ``(1 + s) a + c a_right + noise``: a path enlarged and turned. A position that drifts away
+differs from it by ``m``, the misfit. Both s and c are estimated from the windows before the anchor, so what is left of
+their errors is small beside the declared bounds of scale and heading, which the levels of dead reckoning must use.
+
+For a window of T seconds, of which the vehicle moves M, with path L, at every epoch and for every anchor:
+
+    along   |m_a - s L|  <=  K sqrt(var_rtk + var_o(M) + L^2 (P_s + q_s T))  +  B_a
+    across  |m_c - c L|  <=  K sqrt(var_rtk + L^2 (P_c + (W - W_0) / 3))     +  B_c
+
+``var_o(M) = 2 sigma^2 tau (M - tau (1 - exp(-M / tau)))`` is of the odometer's correlated noise, P_s and P_c are the
+variances of s and c at the anchor, ``W`` is the variance by which the gyro's heading has walked (:func:`walk_of`), and
+B holds the bounds: speed bias ``b |M - p L|``, of which s already holds ``b p`` (p the mean of 1 / v where it was
+learnt); slip ``g |v^2 - v_0^2| / 2`` of the wheels; creep at rest, axle distance, heading drift, phase biases. Where
+the window bends, along and across mix by the sine of the turn. K follows from the false alarms allowed for an hour by
+the union bound over epochs, anchors, axes and signs.
+
+The smallest drift that is found is the right side over T. Not found: a slower one, and one that has always been there,
+which s and c take for their own. Doppler enters by what it tells of the gyro's bias and scale alone.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records, record
+
+__all__ = [
+    "ANCHOR",
+    "DRIFT",
+    "DRIFT_RULES",
+    "DriftWatch",
+    "advance",
+    "allowed",
+    "begin_watch",
+    "find_drift",
+    "learn",
+    "odometer_variance",
+    "walk_of",
+]
+
+DRIFT_RULES = record(
+    spacing="time between two anchors [s]",
+    window="longest window [s]",
+    k="threshold in sigmas [-]",
+    scale="prior of the scale error, 1 sigma [-]",
+    scale_walk="its random walk [1/sqrt(s)]",
+    slip="bound of the wheels' slip per acceleration [s^2/m]",
+    sigma="odometer speed, 1 sigma [m/s]",
+    tau="correlation time of its error [s]",
+    bias="bound of a constant error [m/s]",
+    creep="speed that the odometer may show as rest [m/s]",
+    axle="bound of the error of the axle distance [m]",
+    heading_drift="growth of the heading's bound [rad/s]",
+    phase="bound of the position's error by phase biases, at both ends of a window [m]",
+)
+"""DriftWatchConfig as the kernel takes it, with the declared figures of dead reckoning."""
+
+DRIFT = record(
+    path_e="path by gyro and odometer, East [m]",
+    path_n="the same, North [m]",
+    heading="heading by the gyro alone, from that of the vehicle at the first anchor [rad]",
+    turned="turn, signed [rad]",
+    moving_s="time in motion [s]",
+    rest_s="time at rest [s]",
+    walked="W, variance by which the error of that heading has walked [rad^2]",
+    scale="s, RTK over the odometer, less one [-]",
+    p_scale="its variance [-]",
+    has_scale=("?", "s begins with the prior"),
+    pace="what s has in it of a constant error of the speed, per m/s [s/m]",
+    course="c, course of RTK less that of the path [rad]",
+    p_course="its variance [rad^2]",
+    since_anchor="time since the last anchor [s]",
+    anchors=("i8", "anchors in use"),
+    next=("i8", "place of the next one"),
+)
+"""State of the drift watch."""
+
+ANCHOR = record(
+    east="RTK position, East [m]",
+    north="North [m]",
+    variance="its variance, East and North together [m^2]",
+    speed="odometer speed [m/s]",
+    at=(DRIFT, "the drift watch at that time"),
+)
+"""Where a window begins."""
+
+LEAST_PATH_M = 2.0  # of a window that tells scale and course
+
+
+class DriftWatch(NamedTuple):
+    """Drift watches of B vehicles: rows (B,) of DRIFT and anchors (B, N) of ANCHOR, in a ring; N = 0: none."""
+
+    rows: Records
+    anchors: Records
+
+
+@jit(borrows=True)
+def odometer_variance(moving: float, sigma: float, tau: float) -> float:
+    """Variance of the distance by a Gauss-Markov error of the speed over a time [m^2]."""
+    return 2.0 * sigma * sigma * tau * (moving - tau * (1.0 - math.exp(-moving / tau)))
+
+
+@jit(borrows=True)
+def begin_watch(d: Any) -> None:
+    """Forget all anchors: there is no RTK position, or it is not trusted; s and c remain."""
+    d.anchors, d.next, d.since_anchor = 0, 0, 0.0
+
+
+@jit(borrows=True)
+def advance(
+    dt: float, distance: float, slip: float, turning: float, resting: bool, walk: float, rules: Any, d: Any
+) -> None:
+    """Advance the path by an epoch.
+
+    Parameters
+    ----------
+    distance : of the odometer [m]; slip : angle from the heading to the course of the reference point [rad].
+    turning : yaw rate less what is known of its bias and scale [rad/s].
+    walk : variance rate of the error that turning adds to the course, :func:`walk_of` [rad^2/s].
+    """
+    if resting:
+        d.rest_s += dt
+    else:
+        course = d.heading + 0.5 * dt * turning + slip
+        d.path_e += distance * math.sin(course)
+        d.path_n += distance * math.cos(course)
+        d.heading += turning * dt
+        d.turned += turning * dt
+        d.moving_s += dt
+        d.walked += dt * walk
+        d.p_course += dt * walk
+    d.p_scale += dt * rules.scale_walk * rules.scale_walk
+    d.since_anchor += dt
+
+
+@jit(borrows=True)
+def walk_of(noise: float, p_bias: float, p_scale: float, turning: float, rules: Any) -> float:
+    """Variance rate of a random walk that bounds the gyro's error over any window [rad^2/s].
+
+    noise : angle random walk [rad/sqrt(s)]; p_bias, p_scale : variances of the gyro's bias [rad^2/s^2] and scale [-],
+    which last: ``(b T)^2 <= b^2 T_max T`` over windows of at most T_max, and ``(s a)^2 <= s^2 pi a`` for turns to pi.
+    """
+    return float(noise * noise + p_bias * rules.window + p_scale * math.pi * abs(turning))
+
+
+@jit(borrows=True)
+def find_drift(
+    east: float, north: float, variance: float, speed: float, rules: Any, d: Any, anchors: Records
+) -> tuple[bool, float, float]:
+    """Whether RTK at (east, north) [m] has drifted since any anchor, and the largest misfit that shows it, E and N [m].
+
+    variance : of the RTK position, East and North together [m^2]; anchors (N,) of the vehicle.
+    """
+    found, worst_e, worst_n = False, 0.0, 0.0
+    for i in range(d.anchors):
+        anchor = anchors[i]
+        along, across, sin_u, cos_u = misfit(east, north, d, anchor)
+        most_along, most_across = allowed(variance, speed, rules, d, anchor)
+        if abs(along) > most_along or abs(across) > most_across:
+            if not found or math.hypot(along, across) > math.hypot(worst_e, worst_n):
+                worst_e, worst_n = along * sin_u + across * cos_u, along * cos_u - across * sin_u
+            found = True
+    return found, worst_e, worst_n
+
+
+@jit(borrows=True)
+def misfit(east: float, north: float, d: Any, anchor: Any) -> tuple[float, float, float, float]:
+    """Misfit along and across the window's path [m], less that of scale and course; sine and cosine of its azimuth."""
+    at = anchor.at
+    a_e, a_n = d.path_e - at.path_e, d.path_n - at.path_n
+    m_e, m_n = east - anchor.east - a_e, north - anchor.north - a_n
+    length = math.hypot(a_e, a_n)
+    sin_u, cos_u = (a_e / length, a_n / length) if length > 0.0 else (0.0, 1.0)
+    along = m_e * sin_u + m_n * cos_u - at.scale * length
+    across = m_e * cos_u - m_n * sin_u - at.course * length
+    return along, across, sin_u, cos_u
+
+
+@jit(borrows=True)
+def allowed(variance: float, speed: float, rules: Any, d: Any, anchor: Any) -> tuple[float, float]:
+    """What a healthy window may misfit by along and across [m]."""
+    at = anchor.at
+    moving, rest = d.moving_s - at.moving_s, d.rest_s - at.rest_s
+    length = math.hypot(d.path_e - at.path_e, d.path_n - at.path_n)
+    turned = abs(d.turned - at.turned)
+    bend = math.sin(min(turned, 0.5 * math.pi))
+    noise = odometer_variance(moving, rules.sigma, rules.tau)
+    scale = at.p_scale + rules.scale_walk * rules.scale_walk * (moving + rest)
+    course = at.p_course + (d.walked - at.walked) / 3.0
+    along = noise + length * length * scale
+    across = length * length * course
+    common = rules.phase + rest * rules.creep + 2.0 * rules.axle * math.sin(0.5 * min(turned, math.pi))
+    wheels = rules.bias * abs(moving - at.pace * length) + 0.5 * rules.slip * abs(
+        speed * speed - anchor.speed * anchor.speed
+    )
+    turn = 0.5 * rules.heading_drift * (moving + rest) * length
+    rtk, b2 = variance + anchor.variance, bend * bend
+    most_along = rules.k * math.sqrt(rtk + along + b2 * across) + common + wheels + bend * turn
+    most_across = rules.k * math.sqrt(rtk + across + b2 * along) + common + turn + bend * wheels
+    return most_along, most_across
+
+
+@jit(borrows=True)
+def learn(
+    east: float, north: float, variance: float, speed: float, heading: float, p_course: float, rules: Any, d: Any,
+    anchors: Records,
+) -> None:  # fmt: skip
+    """After each spacing: learn s and c from the window since the last anchor, and set a new one at (east, north) [m].
+
+    Without an anchor the path turns to ``heading`` [rad], whose variance ``p_course`` [rad^2] is that of c; of s
+    remains what is known.
+    """
+    n = anchors.shape[0]
+    if d.anchors == 0:
+        d.heading, d.course, d.p_course = heading, 0.0, p_course
+        if not d.has_scale:
+            d.scale, d.p_scale, d.pace, d.has_scale = 0.0, rules.scale * rules.scale, 0.0, True
+    elif d.since_anchor < rules.spacing:
+        return
+    else:
+        anchor = anchors[(d.next - 1) % n]
+        at = anchor.at
+        along, across, _, _ = misfit(east, north, d, anchor)
+        square = (d.path_e - at.path_e) ** 2 + (d.path_n - at.path_n) ** 2
+        bend = math.sin(min(abs(d.turned - at.turned), 0.5 * math.pi))
+        if square > LEAST_PATH_M * LEAST_PATH_M:
+            moving = d.moving_s - at.moving_s
+            noise = 2.0 * rules.sigma * rules.sigma * rules.tau * moving
+            rtk, length = variance + anchor.variance, math.sqrt(square)
+            across += (at.course - d.course) * length  # both are those of the anchor, unless learnt since
+            along += (at.scale - d.scale) * length
+            k_s = d.p_scale / (d.p_scale + (rtk + noise) / square)
+            k_c = d.p_course / (d.p_course + (rtk + bend * bend * noise) / square)
+            d.scale += k_s * along / length
+            d.pace += k_s * (moving / length - d.pace)
+            d.course += k_c * across / length
+            d.p_scale *= 1.0 - k_s
+            d.p_course *= 1.0 - k_c
+    d.since_anchor = 0.0
+    anchor = anchors[d.next]
+    anchor.east, anchor.north, anchor.variance, anchor.speed = east, north, variance, speed
+    copy_watch(d, anchor.at)
+    d.next = (d.next + 1) % n
+    d.anchors = min(d.anchors + 1, n)
+
+
+@jit(borrows=True)
+def copy_watch(source: Any, to: Any) -> None:
+    """Copy what windows compare."""
+    to.path_e, to.path_n, to.turned = source.path_e, source.path_n, source.turned
+    to.moving_s, to.rest_s, to.walked = source.moving_s, source.rest_s, source.walked
+    to.scale, to.p_scale, to.pace = source.scale, source.p_scale, source.pace
+    to.course, to.p_course = source.course, source.p_course

@@ -1,0 +1,69 @@
+"""The study of services: HDOP against its definition, a small study, and the convergence of PPP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lanebound.agents.reproduce.service_drives import NO_DOP, converge, hdop
+from lanebound.agents.reproduce.services import (
+    ServiceStudyConfig,
+    convergence_rows,
+    mixed_rows,
+    run_services,
+    service_rows,
+)
+from lanebound.integrity.navigators.navigator import NavigatorConfig
+from lanebound.integrity.sky.systems import System
+
+
+def test_hdop_is_that_of_the_systems_of_the_service() -> None:
+    rng = np.random.default_rng(2)
+    azimuth, elevation = rng.uniform(0.0, 2.0 * np.pi, 16), np.deg2rad(rng.uniform(5.0, 85.0, 16))
+    los = np.stack([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)], -1)
+    system = np.array([int(System.GPS), int(System.GALILEO)] * 8)
+    tracked = np.ones((2, 16), bool)
+    tracked[1, 3:] = False  # too few
+    m = SimpleNamespace(
+        sky=SimpleNamespace(los_enu=los[None], index=np.zeros(2, np.int64), system=system),
+        gnss=SimpleNamespace(tracked=tracked),
+    )
+    config = NavigatorConfig(service="sbas_l1")  # GPS, above 10 degrees
+    own = (system == int(System.GPS)) & (elevation > np.deg2rad(10.0))
+    design = np.column_stack([-los[own], np.ones(own.sum())])
+    cofactor = np.linalg.inv(design.T @ design)
+    found = hdop(config, m)
+    assert found[0] == pytest.approx(np.sqrt(cofactor[0, 0] + cofactor[1, 1]), rel=1e-9)
+    assert found[1] == NO_DOP
+    both = hdop(NavigatorConfig(service="spp"), m)
+    assert both[0] < found[0]  # more satellites, and clocks of systems without one do not matter
+
+
+def test_a_small_study_has_all_its_tables(tmp_path: Path) -> None:
+    config = ServiceStudyConfig(
+        seeds=1, cases=("s4_egnos", "s4_sisnet"), skies=("open", "urban"), vehicles=2, duration_s=3.0, warm_up_s=2.0,
+        ppp_hours=1, ppp_minutes=2,
+    )  # fmt: skip
+    result = run_services(config, tmp_path)
+    heads, rows = service_rows(result)
+    assert len(rows) == 4
+    assert all(len(row) == len(heads) for row in rows)
+    for sky in config.skies:
+        geo, both = (result["skies"][sky][case]["corrected"] for case in config.cases)
+        assert 0.0 <= geo <= both <= 1.0  # the same drives, and one more way for the messages
+    assert result["skies"]["open"]["s4_egnos"]["corrected"] == 1.0
+    assert result["skies"]["open"]["s4_egnos"]["hdop_below_3"] > 0.9
+    assert [row[0] for row in mixed_rows(result)[1]] == ["s4_egnos", "s4_sisnet"]
+    assert [row[0] for row in convergence_rows(result)[1]] == ["1", "2"]
+    assert run_services(config, tmp_path) == result  # resumed: nothing is driven anew
+
+
+def test_ppp_gets_better_with_time_and_its_levels_hold() -> None:
+    found = converge(seed=1, hour=3, vehicles=4, minutes=5)
+    assert len(found["rms_m"]) == 5
+    assert found["level_m"][-1] < found["level_m"][0]
+    assert max(found["beyond"]) == 0.0
+    assert found["rms_m"][-1] < 2.0  # it has hardly converged
