@@ -31,7 +31,7 @@ EQUIPMENT: Mapping[str, Any] = {
     "imu": {"mems_exponential": True},
     "chassis": {"fitted": True},
     "compass": {"fitted": True},
-    "position": {"codes": {"errors": {"satellite_m": 0.85, "iono_zenith_m": 0.7}}},
+    "position": {"codes": {"errors": {"satellite_m": 0.85, "iono_zenith_m": 0.7, "reflections_m": 0.3}}},
 }
 """Of the vehicles: GPS on one frequency; UDRE of 0.85 m and a zenith delay of 0.7 m stand for EGNOS's corrections
 (UDREI 5 to 6 and GIVEI 6 to 7 of DO-229D tables A-6 and A-17)."""
