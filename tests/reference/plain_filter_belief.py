@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.positioning.filters.code_position import CodePosition
-from lanebound.integrity.positioning.filters.vehicle_models import STATES, S
+from lanebound.integrity.positioning.filters.vehicle_models import S
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
 
 __all__ = [
     "BIASES",

@@ -23,7 +23,8 @@ from plain_vehicle_models import MotionInput
 
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.parameters import gate_threshold
-from lanebound.integrity.positioning.filters.vehicle_models import STATES, Predictor, S
+from lanebound.integrity.positioning.filters.vehicle_models import Predictor, S
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
 
 __all__ = ["GateOutcome", "Observation", "advance", "conclude", "gates", "noise_of", "observe"]
 

@@ -11,7 +11,8 @@ from plain_odometry import from_front_wheel, rolling_slip
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.parameters import correlation_factor
 from lanebound.integrity.positioning.filters.code_position import CodePosition
-from lanebound.integrity.positioning.filters.vehicle_models import STATES, S
+from lanebound.integrity.positioning.filters.vehicle_models import S
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
 from lanebound.integrity.sensors.instruments import Measurements
 
 __all__ = ["acceleration_along", "gnss_position", "motion_observations", "printed_inertial"]

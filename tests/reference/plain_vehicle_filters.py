@@ -15,7 +15,8 @@ from plain_vehicle_models import (
     transition,
 )
 
-from lanebound.integrity.positioning.filters.vehicle_models import STATES, S
+from lanebound.integrity.positioning.filters.vehicle_models import S
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
 
 __all__ = ["ProcessNoise", "SigmaWeights", "predict_extended", "predict_unscented", "sigma_points"]
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts_kernel import INITIALISING, NONE, TEST_FAILED, alert_step
-from lanebound.integrity.monitoring.sbas import Operation
 from lanebound.integrity.navigators.vehicle_filter.levels_kernel import (
     HTL_SIGMAS,
     find_levels,
@@ -33,6 +32,8 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     PositionFix,
 )
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import begin, judge_start
+from lanebound.integrity.positioning.codes_kernel import CODE, IMU_ODOMETER
+from lanebound.integrity.positioning.codes_kernel import NONE as NO_MODE
 from lanebound.integrity.positioning.filters.correction_kernel import Models, Vector, vector_of
 from lanebound.integrity.positioning.filters.mixing_kernel import combine, mix, mixing_weights, posterior
 from lanebound.integrity.positioning.filters.motion_kernel import move_rows, slopes_of
@@ -42,14 +43,11 @@ from lanebound.integrity.positioning.filters.prediction_kernel import (
     predict_unscented,
     prediction_work,
 )
-from lanebound.integrity.positioning.filters.vehicle_models import HEADING, SLIDE, SLIP, SLIP_RATE, SPEED, STATES
-from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import HEADING, SLIDE, SLIP, SLIP_RATE, SPEED, STATES
 
 __all__ = ["Filters", "run_epoch"]
 
 Array = NDArray[np.float64]
-MODE_NONE, MODE_CODE, MODE_RECKONED = int(Mode.NONE), int(Mode.CODE), int(Mode.IMU_ODOMETER)
-EN_ROUTE_SIGMAS = Operation.EN_ROUTE.value[0]
 
 
 class Filters(NamedTuple):
@@ -204,13 +202,13 @@ def _report(par: Any, filters: Filters, v: int, outcome: int, s: Scratch) -> Non
     out.heading[v], course = heading, mean[HEADING] + mean[SLIP] + mean[SLIDE]
     out.velocity[v, 0], out.velocity[v, 1] = mean[SPEED] * math.sin(course), mean[SPEED] * math.cos(course)
     if posed:
-        out.mode[v] = MODE_CODE if vehicle.fix_age < par.interval else MODE_RECKONED
+        out.mode[v] = CODE if vehicle.fix_age < par.interval else IMU_ODOMETER
     else:
-        out.mode[v] = MODE_CODE if fix.valid[v] else MODE_NONE
+        out.mode[v] = CODE if fix.valid[v] else NO_MODE
     out.trust[v], out.level_sbas[v] = trust if posed else math.inf, math.inf
     if fix.valid[v]:
         q = fix.fast[v] + fix.slow[v]
-        out.level_sbas[v] = EN_ROUTE_SIGMAS * major_axis(q[0, 0], q[1, 1], q[0, 1])
+        out.level_sbas[v] = par.sbas_sigmas * major_axis(q[0, 0], q[1, 1], q[0, 1])
     out.used[v], out.rejected[v] = outcome == USED, outcome == REJECTED
     out.probability[v] = state.probability[v]
     out.curved[v] = 0.0

@@ -27,7 +27,7 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
 )
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings, place_vehicles
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
-from lanebound.integrity.positioning.filters.vehicle_models import STATES
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
 
 __all__ = ["FilterNavigator", "FilterReport", "blank_state", "fix_of", "run_filters"]
 

@@ -13,7 +13,7 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import COURSE_
 from lanebound.integrity.positioning.filters.correction_kernel import UNTESTED, Models, Vector, clear, observe
 from lanebound.integrity.positioning.filters.mixing_kernel import combine
 from lanebound.integrity.positioning.filters.odometry_kernel import WheelOdometry, from_front_wheel, rolling_slip
-from lanebound.integrity.positioning.filters.vehicle_models import (
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import (
     COMPASS,
     EAST,
     GYRO_ANGLE,

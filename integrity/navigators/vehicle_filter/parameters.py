@@ -13,11 +13,13 @@ from lanebound.integrity.core.errors import require_in_range
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring.alerts import alert_parameters
 from lanebound.integrity.monitoring.risk import Variant, upper_quantile
+from lanebound.integrity.monitoring.sbas import Operation
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.levels_kernel import CASE
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import MODELS, PARAMETERS
 from lanebound.integrity.positioning.filters.odometry_kernel import CAR
-from lanebound.integrity.positioning.filters.vehicle_models import STATES, WHITE, Interaction, Predictor, S
+from lanebound.integrity.positioning.filters.vehicle_models import Interaction, Predictor, S
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES, WHITE
 
 __all__ = ["correlation_factor", "filter_parameters", "gate_threshold", "initial_sigmas", "level_cases"]
 
@@ -85,6 +87,7 @@ def filter_parameters(c: FilterConfig) -> Records:
         doppler_sigma=c.positioning.doppler.sigma_mps,
         wheel_bound=dead.odometer_scale,
         bounds=[position.bias_m, position.bias_m, np.deg2rad(dead.heading_bias_deg), dead.odometer_bias_mps],
+        sbas_sigmas=Operation.EN_ROUTE.value[0],
         alert=alert_parameters(c.alert),
     )
 

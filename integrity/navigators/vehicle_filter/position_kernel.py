@@ -20,7 +20,14 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     PositionFix,
 )
 from lanebound.integrity.positioning.filters.correction_kernel import Models, Vector, best_nis, clear, observe
-from lanebound.integrity.positioning.filters.vehicle_models import EAST, GNSS_EAST, GNSS_NORTH, HEADING, NORTH, STATES
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import (
+    EAST,
+    GNSS_EAST,
+    GNSS_NORTH,
+    HEADING,
+    NORTH,
+    STATES,
+)
 
 __all__ = ["USED", "correct_by_position", "fill_slow_columns", "take_slow_error"]
 

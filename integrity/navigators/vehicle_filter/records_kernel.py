@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.monitoring.alerts_kernel import ALERT, ALERT_RULES
 from lanebound.integrity.positioning.filters.odometry_kernel import CAR
-from lanebound.integrity.positioning.filters.vehicle_models import STATES, WHITE
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES, WHITE
 
 __all__ = [
     "BIASES",
@@ -83,6 +83,7 @@ PARAMETERS = record(
     doppler_sigma="range rate, 1 sigma [m/s]",
     wheel_bound="bound of the odometer's scale error [-]",
     bounds=("f8", (BIASES,), "of constant errors: position East, North [m], course [rad], speed [m/s]"),
+    sbas_sigmas="K_H of the SBAS level of a position [-]",
     alert=(ALERT_RULES, "alert limits and times"),
 )
 """The declared figures of a filter."""

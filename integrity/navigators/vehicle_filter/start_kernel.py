@@ -30,7 +30,7 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     PositionFix,
 )
 from lanebound.integrity.positioning.filters.correction_kernel import Vector
-from lanebound.integrity.positioning.filters.vehicle_models import (
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import (
     EAST,
     GNSS_EAST,
     GNSS_NORTH,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.positioning.filters.vehicle_models import (
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import (
     ACCEL_BIAS,
     EAST,
     GYRO_ANGLE,

@@ -16,7 +16,7 @@ from lanebound.integrity.positioning.filters.motion_kernel import (
     move_rows,
     move_state,
 )
-from lanebound.integrity.positioning.filters.vehicle_models import SLIP_RATE, STATES, WHITE
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import SLIP_RATE, STATES, WHITE
 
 __all__ = ["PredictionWork", "predict_extended", "predict_unscented", "prediction_work"]
 

@@ -17,40 +17,32 @@ from __future__ import annotations
 
 from enum import Enum, IntEnum
 
-__all__ = ["NOISES", "STATES", "TRANSITION", "WHITE", "Interaction", "Predictor", "S"]
+from lanebound.integrity.positioning.filters import vehicle_states_kernel as places
+
+__all__ = ["TRANSITION", "Interaction", "Predictor", "S"]
 
 
 class S(IntEnum):
     """Place of each state. Position East, North [m]; angles [rad], clockwise from North; speed [m/s]."""
 
-    EAST = 0
-    NORTH = 1
-    HEADING = 2
-    YAW_RATE = 3
-    SPEED = 4
-    SLIP = 5
-    SLIDE = 6
-    SLIP_RATE = 7
+    EAST = places.EAST
+    NORTH = places.NORTH
+    HEADING = places.HEADING
+    YAW_RATE = places.YAW_RATE
+    SPEED = places.SPEED
+    SLIP = places.SLIP
+    SLIDE = places.SLIDE
+    SLIP_RATE = places.SLIP_RATE
     # errors of sensors
-    GYRO_BIAS = 8  # [rad/s]
-    GYRO_SCALE = 9  # [-]
-    GYRO_ANGLE = 10  # integrated gyro less heading [rad]
-    WHEEL_SCALE = 11  # [-]
-    ACCEL_BIAS = 12  # [m/s^2]
-    COMPASS = 13  # deviation [rad]
-    GNSS_EAST = 14  # slow error of the position [m]
-    GNSS_NORTH = 15
+    GYRO_BIAS = places.GYRO_BIAS  # [rad/s]
+    GYRO_SCALE = places.GYRO_SCALE  # [-]
+    GYRO_ANGLE = places.GYRO_ANGLE  # integrated gyro less heading [rad]
+    WHEEL_SCALE = places.WHEEL_SCALE  # [-]
+    ACCEL_BIAS = places.ACCEL_BIAS  # [m/s^2]
+    COMPASS = places.COMPASS  # deviation [rad]
+    GNSS_EAST = places.GNSS_EAST  # slow error of the position [m]
+    GNSS_NORTH = places.GNSS_NORTH
 
-
-STATES = len(S)
-NOISES = 4  # of S4 eq 2
-WHITE = NOISES + 3  # with the independent parts of white accelerations
-
-# for kernels
-EAST, NORTH, HEADING, YAW_RATE, SPEED, SLIP, SLIDE, SLIP_RATE = (int(S(k)) for k in range(8))
-GYRO_BIAS, GYRO_SCALE, GYRO_ANGLE, WHEEL_SCALE, ACCEL_BIAS, COMPASS, GNSS_EAST, GNSS_NORTH = (
-    int(S(k)) for k in range(8, 16)
-)
 
 TRANSITION = ((0.7, 0.3), (0.4, 0.6))
 """S4 eq 9: from straight and from curved, to straight and to curved, at each scan [-]."""

@@ -10,7 +10,8 @@ from plain_vehicle_models import MotionInput, jacobian, noise_gain, scan_sigmas,
 from scipy.stats import chi2
 
 from lanebound.integrity.navigators.vehicle_filter.parameters import gate_threshold
-from lanebound.integrity.positioning.filters.vehicle_models import NOISES, STATES, S
+from lanebound.integrity.positioning.filters.vehicle_models import S
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import NOISES, STATES
 
 BOTH = np.array([False, True])
 
