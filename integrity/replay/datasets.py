@@ -58,7 +58,8 @@ def replay_folder(
     ``changes`` are overrides of the configuration of the kind: :class:`~.city_report.CityReplay`,
     :class:`~.outages.OutageConfig`, :class:`~.imu_outages.ImuOutageConfig` or :class:`~.baseline.BaselineConfig`.
     ``progress`` is called with the number of solved epochs and the total number. ``navigator`` names a filter, by kind
-    or preset, in place of the method of the kind of data set; ``changes`` are then those of :class:`~.filter_drive.FilterReplayConfig`.
+    or preset, in place of the method of the kind of data set; ``changes`` are then those of
+    :class:`~.filter_drive.FilterReplayConfig`.
 
     Raises
     ------
