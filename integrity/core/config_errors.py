@@ -48,6 +48,12 @@ def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str, unchang
     owner, field = _find(model, loc)
     dotted = joined(path, loc) or model.__name__
     if kind == "extra_forbidden":
+        others = _kinds_with(owner, str(loc[-1]))
+        if owner is not None and others:
+            return (
+                f"{dotted} is a key of kind {' and '.join(others)}, not of {_kind_of(owner)}: leave it out, or choose "
+                f"the kind {others[0]}"
+            )
         advice = nearest(str(loc[-1]), owner.model_fields if owner else ())
         inside = joined("" if path.endswith(FILES) else path, loc[:-1])
         return f"{dotted} is not a known key: {_with_path(advice, inside)}"
@@ -87,6 +93,8 @@ def _in_place(text: str, dotted: str, model: type[BaseModel], path: str, loc: Se
     """The message of a validator with the place of its model; a message that begins with a key has its whole path."""
     if text.startswith(dotted):
         return text
+    if text.startswith("must "):
+        return f"{dotted} {text}"
     inside = _inside(model, loc)
     word = text.split(maxsplit=1)[0].rstrip(":") if text else ""
     if inside is not None and word.partition(".")[0] in inside.model_fields:
@@ -217,8 +225,22 @@ def _walk(
 
 def _model_with(model: type[BaseModel] | None, key: int | str) -> type[BaseModel] | None:
     """The model, or the first kind of a family of models (:mod:`.tagged`) that has the key."""
-    kinds: list[type[BaseModel] | None] = [*getattr(model, "kinds", {}).values()] or [model]
+    family = getattr(model, "family", None)
+    kinds: list[type[BaseModel] | None] = [*getattr(model, "kinds", {}).values()] if family is model else []
+    kinds = kinds or [model]
     return next((kind for kind in kinds if kind is not None and key in kind.model_fields), kinds[0])
+
+
+def _kinds_with(owner: type[BaseModel] | None, key: str) -> list[str]:
+    """Names of the kinds of the owner's family that have a key, if the owner is one kind of it."""
+    family = getattr(owner, "family", None)
+    if family is None or family is owner:
+        return []
+    return [name for name, kind in sorted(family.all_kinds().items()) if key in kind.model_fields]
+
+
+def _kind_of(owner: type[BaseModel]) -> str:
+    return str(owner.model_fields[getattr(owner, "tag", "")].default)
 
 
 def model_in(annotation: Any) -> type[BaseModel] | None:
