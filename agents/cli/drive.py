@@ -66,9 +66,9 @@ def drive(
     """
     from lanebound.agents.cli.early import refuse_early
 
-    if not _plugins:
-        refuse_early(name, agent, sky, faults)
     given = changes(assignments, sky=sky, faults=faults)
+    if not _plugins:
+        refuse_early(name, agent, sky, faults, given)
     from lanebound.agents.cli.progress import resumable, with_bar
 
     finished: list[int] = []

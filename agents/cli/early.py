@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from lanebound.agents.drivers import AGENTS, unknown_agent
 
 __all__ = ["FAULTS", "SKIES", "refuse_early"]
@@ -12,9 +15,15 @@ FAULTS = ("none", "nominal", "stress")
 
 
 def refuse_early(
-    env: str | None = None, agent: str | None = None, sky: str | None = None, faults: str | None = None
+    env: str | None = None,
+    agent: str | None = None,
+    sky: str | None = None,
+    faults: str | None = None,
+    changes: Mapping[str, Any] | None = None,
 ) -> None:
     """Refuse the name of an environment, agent, sky or level of faults that cannot exist; a file is checked later.
+
+    ``changes`` of an environment's configuration are refused for unknown keys and numbers out of bounds.
 
     An environment with a module (``package:id``) or with a version may be registered elsewhere, and passes.
 
@@ -29,6 +38,10 @@ def refuse_early(
         raise unknown_agent(agent)
     if sky is not None and not sky.endswith(FILES) and "/" not in sky:
         _require("sky", sky, SKIES, ", or a file", " (files: .csv of 'lanebound record-sky', .yaml of your own)")
+    if changes:
+        from lanebound.agents.cli.keys import refuse_keys
+
+        refuse_keys("environment", changes)
     if faults is not None:
         _require("faults", faults, FAULTS)
 

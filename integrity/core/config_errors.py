@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
     from pydantic.fields import FieldInfo
 
-__all__ = ["below", "explain", "joined", "model_in"]
+__all__ = ["below", "bound_text", "explain", "joined", "model_in"]
 
 BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
@@ -106,7 +106,10 @@ def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
     """The requirement on the value, in words."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind in BOUNDS:
-        return _interval(field) or _one_bound(context)
+        limits = {
+            key: getattr(item, key) for item in (field.metadata if field else ()) for key in SIGNS if hasattr(item, key)
+        }
+        return bound_text(limits if len(limits) > 1 else context)
     if kind == "finite_number":
         return "be finite"
     if kind in NUMBERS:
@@ -136,19 +139,12 @@ def _numbered(field: FieldInfo | None) -> str:
     return "" if kind is None else ", ".join(f"{int(member)} ({member.name})" for member in kind)
 
 
-def _one_bound(context: Mapping[str, Any]) -> str:
-    return " and ".join(f"be {SIGNS[key]} {limit:.12g}" for key, limit in context.items() if key in SIGNS)
-
-
-def _interval(field: FieldInfo | None) -> str | None:
-    """``"lie in (0, 1)"`` if the field has both bounds, otherwise None."""
-    limits = {
-        key: getattr(item, key) for item in (field.metadata if field else ()) for key in SIGNS if hasattr(item, key)
-    }
+def bound_text(limits: Mapping[str, Any]) -> str:
+    """What bounds demand: ``"lie in (0, 1)"`` for both, ``"be >= 0"`` for one; keys as those of ``SIGNS``."""
     low = "gt" if "gt" in limits else "ge"
     high = "lt" if "lt" in limits else "le"
     if low not in limits or high not in limits:
-        return None
+        return " and ".join(f"be {SIGNS[key]} {limit:.12g}" for key, limit in limits.items() if key in SIGNS)
     left, right = "(" if low == "gt" else "[", ")" if high == "lt" else "]"
     return f"lie in {left}{limits[low]:.12g}, {limits[high]:.12g}{right}"
 
