@@ -64,11 +64,12 @@ def drive(
 
     Example: lanebound drive LaneKeeping --sky dense --faults stress --seed 1 --video out/drive.mp4 --out out/drive
     """
-    from lanebound.agents.cli.early import refuse_early
+    from lanebound.agents.cli.early import refuse_early, refuse_film
 
     given = changes(assignments, sky=sky, faults=faults)
     if not _plugins:
         refuse_early(name, agent, sky, faults, given)
+    refuse_film(video)
     from lanebound.agents.cli.progress import resumable, with_bar
 
     finished: list[int] = []

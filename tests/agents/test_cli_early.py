@@ -4,11 +4,12 @@ import json
 import subprocess
 import sys
 from importlib import resources
+from pathlib import Path
 
 import pytest
 
 from lanebound.agents.cli import keys
-from lanebound.agents.cli.early import FAULTS, SKIES, refuse_early
+from lanebound.agents.cli.early import FAULTS, SKIES, refuse_early, refuse_film, refuse_preset
 from lanebound.agents.episodes import open_env
 from lanebound.envs.config import FaultLevel
 from lanebound.envs.sky import SKY_LEVELS
@@ -38,8 +39,32 @@ def test_names_that_cannot_exist_are_refused(names: dict[str, str], message: str
 
 @pytest.mark.parametrize("env", ["lanekeeping", "LaneKeeping-v0", "lanebound/Merge-v0", "two-way-v0", "mine:Own-v0"])
 def test_names_that_may_exist_pass(env: str) -> None:
-    refuse_early(env, "out/best.zip", "skies/plaza", "stress")
-    refuse_early(env, "package.module:make", "berlin.csv")
+    refuse_early(env, "package.module:make", "skies/plaza", "stress")
+
+
+def test_files_that_do_not_exist_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "best.zip").touch()
+    (tmp_path / "berlin.csv").touch()
+    refuse_early("Merge", str(tmp_path / "best.zip"), str(tmp_path / "berlin.csv"))
+    with pytest.raises(InputError, match=r"^agent must be a file that exists, got out/best\.zip: correct the path$"):
+        refuse_early("Merge", "out/best.zip")
+    with pytest.raises(
+        InputError, match=r"^sky must be a file that exists, got berlin\.csv: make it by 'lanebound rec"
+    ):
+        refuse_early("Merge", None, "berlin.csv")
+    with pytest.raises(InputError, match=r"^video must end in \.mp4, got a\.gif: rename it$"):
+        refuse_film(tmp_path / "a.gif")
+
+
+def test_presets_that_do_not_exist_are_refused() -> None:
+    for what, folder, name in (("suite", "suites/", "quick"), ("experiment", "experiments/", "lane_keeping_ppo")):
+        refuse_preset(what, folder, name)
+        refuse_preset(what, folder, folder + name)
+        refuse_preset(what, folder, "mine.yaml")
+        with pytest.raises(ConfigError, match=f"^{what} '{name}s' is unknown: did you mean '{name}'"):
+            refuse_preset(what, folder, name + "s")
+    with pytest.raises(ConfigError, match=r"^study 'urban_drive' is unknown"):  # another kind of study
+        refuse_preset("study", "studies/", "urban_drive", "learning_study")
 
 
 def test_the_static_table_of_keys_is_that_of_the_configurations() -> None:
