@@ -26,7 +26,7 @@ from lanebound.integrity.assessment.warning_rates import WarningCounts, sweep_th
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.presets import deep_merge
 from lanebound.integrity.core.streams import named_generator
-from lanebound.integrity.monitoring.context.monitor import ContextConfig, ContextMonitor, ContextVerdict
+from lanebound.integrity.monitoring.context.monitor import ContextConfig, ContextMonitor, ContextReason, ContextVerdict
 from lanebound.integrity.monitoring.context.position_phase import check_position
 from lanebound.integrity.monitoring.context.speed_phase import SpeedForm, SpeedPhase, SpeedTest
 from lanebound.integrity.positioning.map_matching.generators import DriveEnvironment
@@ -59,7 +59,9 @@ ASSUMPTIONS: dict[str, dict[str, Any]] = {
     "GPS alone, limit 50 m, P_FA 5e-3, P_MD 5e-5": {**SALOS, "codes": GPS},
     "all systems, weak signals": {"codes": {"least_cn0_dbhz": 20.0}},
     "level as printed": PRINTED,
-    "S5: level as printed, GPS alone, weak signals": deep_merge(PRINTED, {"codes": {**GPS, "least_cn0_dbhz": 20.0}}),
+    "S5: as printed, GPS alone, weak signals": deep_merge(
+        PRINTED, {"codes": {**GPS, "least_cn0_dbhz": 20.0}, "speed": {"form": "printed"}}
+    ),
 }
 """The rows of 50 m are those of Salos et al., whose availability S3 quotes (section IV-A).
 
@@ -286,6 +288,7 @@ def _judged(
         "right": float((~wrong)[driving].mean()),
         "passed": int((get(name="phases") == 3)[driving].sum()),
         "available": float(get(name="available")[driving].mean()),
+        "reasons": np.bincount(get(name="reason")[driving], minlength=len(ContextReason)).tolist(),
         "counts": counts,
         "judged": _counted(WarningCounts.of(~get(name="map"), wrong, driving & passed)),
         "sweep": [sweep.false_alarms.tolist(), sweep.missed.tolist(), sweep.points],

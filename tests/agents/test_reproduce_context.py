@@ -59,6 +59,7 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
         for counts in monitor["rules"].values():
             assert counts["pooled"]["points"] == 120
         rules = monitor["rules"]
+        assert sum(monitor["reasons"]) == 120
         assert rules["never"]["pooled"]["false_alarms"] == rules["always"]["pooled"]["missed"] == 0
         assert rules["never"]["pooled"]["missed"] == rules["never"]["pooled"]["wrong"]
         assert rules["all phases"]["pooled"]["false_alarms"] >= rules["without map"]["pooled"]["false_alarms"]
@@ -79,10 +80,11 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
         "Speed phase",
         "Charges",
         "receiver uses",
+        "Why the driver is warned",
     ):
         assert words in told.output
     for rows in (made.ocdr_rows, made.rule_rows, made.matcher_rows, made.speed_rows, made.application_rows,
-                 made.assumption_rows):  # fmt: skip
+                 made.assumption_rows, made.reason_rows):  # fmt: skip
         head, cells = rows(tables)
         assert cells
         assert all(len(row) == len(head) for row in cells)
