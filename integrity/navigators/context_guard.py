@@ -146,9 +146,11 @@ class ContextGuard:
             verdict = self._monitor.step(code_fix(m, c.codes, due), wheels, rows=due)
         else:
             mine = solution.rows(due)
+            rates = doppler_fit(m, c.codes, due)
             fix = VehicleFix(
-                doppler_fit(m, c.codes, due), mine.mode != int(Mode.NONE), mine.position_en_m, mine.covariance_en_m2
-            )
+                mine.mode != int(Mode.NONE), mine.position_en_m, mine.covariance_en_m2, rates.solved,
+                rates.x_m[:, :2], rates.cofactor[:, :2, :2],
+            )  # fmt: skip
             verdict = self._monitor.step(
                 fix, wheels, judged_position(mine, c.position.alert_limit_m, self._radial), rows=due
             )

@@ -60,10 +60,6 @@ class JudgedFix(Protocol):
     """Position and Doppler velocity of B vehicles, as the phases take them."""
 
     @property
-    def rates(self) -> CodeFit:
-        """Velocity by range rates."""
-
-    @property
     def located(self) -> Bools:
         """(B,): there is a position."""
 
@@ -76,22 +72,27 @@ class JudgedFix(Protocol):
         """(B, 2, 2)."""
 
     @property
-    def velocity_en_mps(self) -> Array:
-        """(B, 2), by Doppler."""
-
-
-class VehicleFix(NamedTuple):
-    """Position of B vehicles from elsewhere: from a navigator, or from a receiver that states no more."""
-
-    rates: CodeFit
-    located: Bools
-    position_en_m: Array
-    covariance_en_m2: Array
+    def has_velocity(self) -> Bools:
+        """(B,): there is a Doppler velocity."""
 
     @property
     def velocity_en_mps(self) -> Array:
-        """(B, 2)."""
-        return np.asarray(self.rates.x_m[:, :2])
+        """(B, 2), by Doppler."""
+
+    @property
+    def velocity_covariance(self) -> Array:
+        """(B, 2, 2) [m^2/s^2]."""
+
+
+class VehicleFix(NamedTuple):
+    """Position and velocity of B vehicles without the rows that they come from: of a navigator, or of a receiver."""
+
+    located: Bools
+    position_en_m: Array
+    covariance_en_m2: Array
+    has_velocity: Bools
+    velocity_en_mps: Array
+    velocity_covariance: Array
 
 
 class CodeFix(NamedTuple):
@@ -120,9 +121,19 @@ class CodeFix(NamedTuple):
         return np.asarray(self.codes.cofactor[:, :2, :2])
 
     @property
+    def has_velocity(self) -> Bools:
+        """(B,): there is a Doppler velocity."""
+        return self.rates.solved
+
+    @property
     def velocity_en_mps(self) -> Array:
         """(B, 2)."""
         return np.asarray(self.rates.x_m[:, :2])
+
+    @property
+    def velocity_covariance(self) -> Array:
+        """(B, 2, 2)."""
+        return np.asarray(self.rates.cofactor[:, :2, :2])
 
 
 class _Signals(NamedTuple):

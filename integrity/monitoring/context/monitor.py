@@ -171,9 +171,8 @@ class ContextMonitor:
             if not isinstance(fix, CodeFix):
                 raise InputError("position must be given for a fix without codes, got None: pass the result of a test")
             position = check_position(fix.codes, self.config.position, fix.hdop)
-        speed = speed or self.speed.step(
-            fix.velocity_en_mps, fix.rates.cofactor[:, :2, :2], wheel_mps, fix.rates.solved, rows
-        )  # fmt: skip
+        if speed is None:
+            speed = self.speed.step(fix.velocity_en_mps, fix.velocity_covariance, wheel_mps, fix.has_velocity, rows)
         match, heading, sigma = self._match(fix, wheel_mps, rows)
         doppler = np.where(speed.known, speed.average_mps, np.hypot(*fix.velocity_en_mps.T))
         tested = self.map.step(match, fix.position_en_m, sigma, heading, doppler, self.dt_s, rows)
@@ -195,8 +194,10 @@ class ContextMonitor:
         heading = np.arctan2(east, north)
         variance = 0.5 * np.trace(fix.covariance_en_m2, axis1=1, axis2=2)
         sigma = np.sqrt(np.maximum(variance, 1.0))
-        moved = np.where(fix.rates.solved, np.hypot(east, north), np.abs(wheel_mps)) * self.dt_s
-        inputs = MatchInputs(fix.position_en_m, heading, np.abs(wheel_mps), moved, sigma, fix.located)
+        moved = np.where(fix.has_velocity, np.hypot(east, north), np.abs(wheel_mps)) * self.dt_s
+        inputs = MatchInputs(
+            fix.position_en_m, heading, np.abs(wheel_mps), moved, sigma, fix.located, fix.has_velocity
+        )  # fmt: skip
         return self.matcher.step(inputs, rows), heading, sigma
 
     def _reason(self, located: Bools, position: PositionTest, speed: SpeedTest, tested: MapTest) -> Ints:
