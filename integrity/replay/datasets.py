@@ -45,6 +45,7 @@ def replay_folder(
     progress: Progress = silent,
     service: Sequence[str] = (),
     navigator: str | None = None,
+    roads: Path | None = None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a data set; returns the statistics and the files written into ``out``.
 
@@ -54,7 +55,8 @@ def replay_folder(
     ``changes`` are overrides of the configuration of the kind: :class:`~.city_report.CityReplay`,
     :class:`~.outages.OutageConfig` or :class:`~.baseline.BaselineConfig`. ``progress`` is called with the number of
     solved epochs and the total number. ``navigator`` names a filter, by kind or preset, in place of the method of the
-    kind of data set; ``changes`` are then those of :class:`~.filter_drive.FilterReplayConfig`.
+    kind of data set; ``changes`` are then those of :class:`~.filter_drive.FilterReplayConfig`. With ``roads``, a map as
+    GeoJSON, the context monitor judges the drive; ``changes`` are of :class:`~.context_epochs.ContextReplayConfig`.
 
     Raises
     ------
@@ -62,6 +64,10 @@ def replay_folder(
         The folder is of no known kind, or a file or a change is invalid.
     """
     kind, changed = kind_of(folder), dict(changes or {})
+    if roads is not None:
+        from lanebound.integrity.replay.context_report import write_context
+
+        return write_context(folder, kind, roads, out, changed, progress)
     if service:
         from lanebound.integrity.replay.service_report import write_service
 

@@ -94,6 +94,13 @@ class VehicleFix(NamedTuple):
     velocity_en_mps: Array
     velocity_covariance: Array
 
+    def rows(self, rows: Rows) -> VehicleFix:
+        """The fixes of some vehicles."""
+        return VehicleFix(
+            self.located[rows], self.position_en_m[rows], self.covariance_en_m2[rows], self.has_velocity[rows],
+            self.velocity_en_mps[rows], self.velocity_covariance[rows],
+        )  # fmt: skip
+
 
 class CodeFix(NamedTuple):
     """Position and velocity of B vehicles; ``codes`` and ``rates`` hold solutions, covariances and residuals.
