@@ -104,14 +104,11 @@ def read_context_epochs(folder: Path, kind: str, config: ContextReplayConfig) ->
 
 
 def picked(time_s: Array, interval_s: float) -> Ints:
-    """Epochs (E,) of a recording that are about an interval apart; never nearer than three quarters of it."""
-    out, next_s = [], -np.inf
-    spacing = float(np.median(np.diff(time_s))) if time_s.size > 1 else interval_s
-    for k, t in enumerate(time_s):
-        if t >= next_s - 0.5 * min(spacing, 0.5 * interval_s):
-            out.append(k)
-            next_s = max(next_s, t - 0.5 * interval_s) + interval_s
-    return np.array(out, np.int64)
+    """Epochs of a recording (E,) nearest to every interval from the first on, at most a quarter of it away."""
+    wanted = np.arange(time_s[0], time_s[-1] + 0.25 * interval_s, interval_s)
+    after = np.clip(np.searchsorted(time_s, wanted), 1, max(time_s.size - 1, 1))
+    near = np.where(wanted - time_s[after - 1] <= time_s[after] - wanted, after - 1, after)
+    return np.unique(near[np.abs(time_s[near] - wanted) <= 0.25 * interval_s])
 
 
 def _of_codes(e: ServiceEpochs, config: ContextReplayConfig) -> ContextEpochs:
@@ -121,6 +118,8 @@ def _of_codes(e: ServiceEpochs, config: ContextReplayConfig) -> ContextEpochs:
     latitude, longitude, _ = geodetic_from_ecef(e.origin_ecef_m)
     frame = LocalFrame(e.origin_ecef_m, ecef_from_enu_matrix(latitude, longitude))
     used, codes, hdop = _solved(e, config.codes)
+    if e.time_s.size < 2:
+        raise InputError(f"the recording must have two epochs, has {e.time_s.size}: give a whole one")
     at = picked(e.time_s, config.interval_s)
     found, time = codes.take(at), e.time_s[at]
     position = check_position(found, config.position, None if hdop is None else hdop[at])
