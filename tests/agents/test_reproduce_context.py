@@ -65,6 +65,10 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
         assert rules["never"]["pooled"]["missed"] == rules["never"]["pooled"]["wrong"]
         assert rules["all phases"]["pooled"]["false_alarms"] >= rules["without map"]["pooled"]["false_alarms"]
         assert rules["all phases"]["pooled"]["missed"] <= rules["without map"]["pooled"]["missed"]
+    far = found["assumptions"]["GPS alone, limit 50 m, P_FA 5e-3, P_MD 5e-5"]["available"]
+    assert far[0] > found["assumptions"]["GPS alone"]["available"][0]  # the limit is that of the assumption
+    printed = found["assumptions"]["S5: as printed, GPS alone, weak signals"]["available"]
+    assert printed[0] > found["assumptions"]["GPS alone"]["available"][0]
     assert {path.name for path in tmp_path.glob("*.png")} == {"threshold.png", "rules.png", "matchers.png"}
     before = (tmp_path / "parts" / "mixed-0.json").stat().st_mtime_ns
     assert run_context(config, tmp_path) == tables
