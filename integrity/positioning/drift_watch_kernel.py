@@ -232,7 +232,7 @@ def blames_odometer(
     along, across, _, _ = misfit(east, north, d, anchor)
     most_along, most_across = allowed(variance, speed, rules, d, anchor)
     length = math.hypot(d.path_e - at.path_e, d.path_n - at.path_n)
-    if abs(across) > most_across or abs(along + at.scale * length) > rules.scale * length + most_along:
+    if abs(across) > most_across or abs(along + at.scale * length) > rules.scale * length:
         return False
     off_e = east - anchor.east - (d.doppler_e - at.doppler_e)
     off_n = north - anchor.north - (d.doppler_n - at.doppler_n)
