@@ -230,7 +230,7 @@ def blames_odometer(
     if d.unseen_s > at.unseen_s:
         return False
     along, across, _, _ = misfit(east, north, d, anchor)
-    most_along, most_across = allowed(variance, speed, rules, d, anchor)
+    _, most_across = allowed(variance, speed, rules, d, anchor)
     length = math.hypot(d.path_e - at.path_e, d.path_n - at.path_n)
     if abs(across) > most_across or abs(along + at.scale * length) > rules.scale * length:
         return False
