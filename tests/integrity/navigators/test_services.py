@@ -198,7 +198,7 @@ def test_what_cannot_be_is_refused() -> None:
         ({"service": "wifi"}, "service must be among rtk, nrtk, .*, spp, got 'wifi'"),
         ({"service": ["spp", "spp"]}, "name each one once"),
         ({"service": ["spp", "rtk"]}, "rtk or nrtk first"),
-        ({"service": "sbas_dfmc", "gnss": {"bands": [0]}}, "gnss.bands must hold 2 bands for the service sbas_dfmc"),
+        ({"service": "sbas_dfmc", "gnss": {"bands": [0]}}, "gnss.bands must have 2 .L5. as its second band"),
         ({"services": {"spp": {"systems": ["LORAN"]}}}, "got 'LORAN'"),
     ):
         with pytest.raises(ConfigError, match=message):

@@ -26,7 +26,8 @@ DT, SPEED = 0.1, 10.0
 RTK_M = 0.01
 WARM_S = 60.0
 BIAS_RADPS = 1e-4  # what is left of a gyro's bias
-WALK = 2.5e-4**2 + BIAS_RADPS**2 * DriftWatchConfig().window_s
+WATCH = DriftWatchConfig(window_s=16.0)
+WALK = 2.5e-4**2 + BIAS_RADPS**2 * WATCH.window_s
 
 
 @jit
@@ -60,7 +61,7 @@ def _watched(speed, noise, gyro, rtk, turning, scale, course, drift_e, drift_n, 
 def _rules(false_alarms_per_h=0.01, k_factor=1.0, **figures):
     """The rules as configured; a factor on K; declared figures replaced."""
     rules = drift_parameters(PositioningConfig().replace(
-        rtk={"drift": {"false_alarms_per_h": false_alarms_per_h}}), DT)[0]  # fmt: skip
+        rtk={"drift": {"window_s": 16.0, "false_alarms_per_h": false_alarms_per_h}}), DT)[0]  # fmt: skip
     rules["k"] *= k_factor
     for name, value in figures.items():
         rules[name] = value
@@ -73,7 +74,8 @@ def _drive(batch, seconds, drift=None, onset=np.inf, turning_radps=0.0, rules=No
     speed (T,) [m/s]; slip per acceleration [s^2/m], by which the odometer shows more.
     """
     rng, epochs = np.random.default_rng(5), round(seconds / DT)
-    rules, p = _rules() if rules is None else rules, PositioningConfig()
+    rules = _rules() if rules is None else rules
+    p = PositioningConfig().replace(rtk={"drift": {"window_s": 16.0}})
     decay, noise = math.exp(-DT), np.zeros((batch, epochs))
     z, last = rng.standard_normal((batch, epochs)), rng.standard_normal(batch)
     for k in range(epochs):
