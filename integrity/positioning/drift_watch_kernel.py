@@ -15,8 +15,11 @@ variances of s and c at the anchor; g_s and g_c are the gains by which the RTK e
 entered s and c (it is in both parts of the misfit with the same sign). ``W`` is the variance by which the gyro's
 heading has walked (:func:`walk_of`), and B holds the bounds: speed bias ``b |M - p L|``, of which s already holds
 ``b p`` (p the mean of 1 / v where it was learnt); slip ``g |v^2 - v_0^2| / 2`` of the wheels; creep at rest, axle
-distance, heading drift, phase biases. Where the window bends, along and across mix by the sine of the turn. K follows
-from the false alarms allowed for an hour by the union bound over epochs, anchors, axes and signs.
+distance, heading drift, phase biases. Where the window bends, along and across mix by the sine of the turn. A course
+that is wrong by e shortens the path by ``L (1 - cos e)``: B_a has it for K sigmas of the course, which is all of the
+path while the heading is unknown, as before the first motion. Until K sigmas are below LARGEST_COURSE nothing is learnt
+and a window shows drifts at rest only; then windows begin anew. K follows from the false alarms allowed for an hour by
+the union bound over epochs, anchors, axes and signs.
 
 The smallest drift that is found is the right side over T. Not found: a slower one, and one that has always been there,
 which s and c take for their own. What is found is a drift of RTK or an error of gyro and odometer of the same rate: a
@@ -105,6 +108,7 @@ ANCHOR = record(
 """Where a window begins."""
 
 LEAST_PATH_M = 2.0  # of a window that tells scale and course
+LARGEST_COURSE = 0.2  # K sigmas of the course up to which sines are angles [rad]; it shortens the path by 2 %
 
 
 class DriftWatch(NamedTuple):
@@ -269,7 +273,10 @@ def allowed(variance: float, speed: float, rules: Any, d: Any, anchor: Any) -> t
     wheels = rules.bias * abs(moving - at.pace * length) + 0.5 * rules.slip * abs(
         speed * speed - anchor.speed * anchor.speed
     )
-    turn = 0.5 * rules.heading_drift * (moving + rest) * length
+    drift = rules.heading_drift * (moving + rest)
+    turn = 0.5 * drift * length
+    farthest = rules.k * math.sqrt(at.p_course + d.walked - at.walked) + drift
+    wheels += length * (1.0 - math.cos(min(farthest, math.pi)))
     rtk, b2 = variance + anchor.variance, bend * bend
     most_along = rules.k * math.sqrt(rtk + along + b2 * across) + common + wheels + bend * turn
     most_across = rules.k * math.sqrt(rtk + across + b2 * along) + common + turn + bend * wheels
@@ -284,9 +291,11 @@ def learn(
     """After each spacing: learn s and c from the window since the last anchor, and set a new one at (east, north) [m].
 
     Without an anchor the path turns to ``heading`` [rad], whose variance ``p_course`` [rad^2] is that of c; of s
-    remains what is known.
+    remains what is known. So does it where the course of the windows was unknown and the heading is not any more.
     """
-    n = anchors.shape[0]
+    n, known = anchors.shape[0], _course_known(d.p_course, rules)
+    if d.anchors > 0 and not known and _course_known(p_course, rules):
+        begin_watch(d)
     if d.anchors > 0 and d.since_anchor < rules.spacing:
         return
     d.gain_scale, d.gain_course = 0.0, 0.0
@@ -300,7 +309,7 @@ def learn(
         along, across, _, _ = misfit(east, north, d, anchor)
         square = (d.path_e - at.path_e) ** 2 + (d.path_n - at.path_n) ** 2
         bend = math.sin(min(abs(d.turned - at.turned), 0.5 * math.pi))
-        if square > LEAST_PATH_M * LEAST_PATH_M:
+        if known and square > LEAST_PATH_M * LEAST_PATH_M:
             moving = d.moving_s - at.moving_s
             noise = 2.0 * rules.sigma * rules.sigma * rules.tau * moving
             rtk, length = variance + anchor.variance, math.sqrt(square)
@@ -320,6 +329,12 @@ def learn(
     copy_watch(d, anchor.at)
     d.next = (d.next + 1) % n
     d.anchors = min(d.anchors + 1, n)
+
+
+@jit(borrows=True)
+def _course_known(p_course: float, rules: Any) -> bool:
+    """Whether a course of this variance [rad^2] is good enough to learn from a window."""
+    return bool(rules.k * math.sqrt(p_course) < LARGEST_COURSE)
 
 
 @jit(borrows=True)
