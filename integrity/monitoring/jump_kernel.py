@@ -18,8 +18,8 @@ returns to the backup solution. What follows a contradiction:
    may be wrong together with Doppler. It follows, too, when RTK drifts away from the path by gyro and odometer
    (:mod:`lanebound.integrity.positioning.drift_watch_kernel`). Either RTK drifts or gyro and odometer are wrong by as
    much in a second: the levels also cover the misfit of the window that showed it, and what gyro and odometer then add
-   at that rate. The quarantine is the short one where the odometer explains the drift within its declared scale and
-   Doppler agrees with RTK.
+   at that rate, or at the larger one at which RTK leaves the position since. The quarantine is the short one where the
+   odometer explains the drift within its declared scale and Doppler agrees with RTK.
 4. In all these cases the position continues with the remaining sensors, under an alert, and the levels cover both
    histories: that of dead reckoning, which grows, and that of RTK at the difference ``D``.
 5. After the quarantine RTK is used again, wherever it is: the monitor cannot distinguish a spoofer that waits as long
@@ -46,6 +46,7 @@ __all__ = [
     "begin_epoch",
     "bounded",
     "contradicts",
+    "follow_drift",
     "grow_drift",
     "is_suspicious",
     "judge_jump",
@@ -58,6 +59,7 @@ Array = NDArray[np.float64]
 # stages: no contradiction; one while RTK lasted, or at the end of an outage; in quarantine; after the quarantine
 TRUSTED, JUMPED, RETURNED, WAITING, RELEASED = 0, 1, 2, 3, 4
 LEAST_SPEED_MPS = 1.0  # to which the rate of a drift refers
+SETTLED_S = 0.5  # of D, until it tells a rate beside the noise of RTK
 ACCEPTED, REFUSED, QUARANTINED = 0, 1, 2  # verdicts; REFUSED: release the integers
 
 JUMP = record(
@@ -74,6 +76,9 @@ JUMP = record(
     off_e="error of dead reckoning since, if gyro and odometer have that rate and not RTK, East [m]",
     off_n="the same, North [m]",
     by_odometer=("?", "the odometer explains the drift, and Doppler agrees with RTK"),
+    found_s="time since the drift was found [s]",
+    found_e="D at that time, East [m]",
+    found_n="the same, North [m]",
 )
 """State of the jump monitor."""
 
@@ -115,6 +120,7 @@ def clear(jump: Any) -> None:
     jump.stage, jump.left_s, jump.d_e, jump.d_n = TRUSTED, 0.0, 0.0, 0.0
     jump.drift_e, jump.drift_n, jump.rate_at, jump.rate_ct = 0.0, 0.0, 0.0, 0.0
     jump.off_e, jump.off_n, jump.by_odometer = 0.0, 0.0, False
+    jump.found_s, jump.found_e, jump.found_n = 0.0, 0.0, 0.0
 
 
 @jit(borrows=True)
@@ -123,9 +129,23 @@ def grow_drift(dt: float, speed: float, sin_h: float, cos_h: float, jump: Any) -
 
     An error of scale or course grows with the distance: its rate follows the speed [m/s], above that of the finding.
     """
+    jump.found_s += dt
     time = dt * max(1.0, abs(speed) / max(jump.drift_speed, LEAST_SPEED_MPS))
     jump.off_e += time * (jump.rate_at * sin_h + jump.rate_ct * cos_h)
     jump.off_n += time * (jump.rate_at * cos_h - jump.rate_ct * sin_h)
+
+
+@jit(borrows=True)
+def follow_drift(sin_h: float, cos_h: float, jump: Any) -> None:
+    """Raise the rate of a drift to that of D since it was found: windows that began before it show a smaller one."""
+    if jump.found_s < SETTLED_S or (jump.rate_at == 0.0 and jump.rate_ct == 0.0):
+        return
+    east, north = (jump.d_e - jump.found_e) / jump.found_s, (jump.d_n - jump.found_n) / jump.found_s
+    along, across = sin_h * east + cos_h * north, cos_h * east - sin_h * north
+    if abs(along) > abs(jump.rate_at):
+        jump.rate_at = along
+    if abs(across) > abs(jump.rate_ct):
+        jump.rate_ct = across
 
 
 @jit(borrows=True)
@@ -154,6 +174,7 @@ def judge_jump(
     """
     if jump.stage == WAITING:
         jump.d_e, jump.d_n = east, north
+        follow_drift(sin_h, cos_h, jump)
         return QUARANTINED
     if jump.stage == RELEASED:
         clear(jump)
@@ -174,6 +195,7 @@ def judge_jump(
     jump.left_s = after_outage_s if short else after_jump_s
     if jump.left_s > 0.0:
         jump.stage = WAITING
+        jump.found_s, jump.found_e, jump.found_n = 0.0, east, north
         return QUARANTINED
     clear(jump)
     return ACCEPTED
