@@ -167,3 +167,19 @@ def test_after_a_drift_levels_grow_with_what_the_odometer_would_add_until_rtk_is
     assert levels[0] == pytest.approx([0.3 + grown_m, 0.2])
     monitor.quarantine(0.0)
     assert monitor.jump["off_e"] == monitor.jump["rate_at"] == 0.0
+
+
+def test_the_rate_of_a_drift_follows_rtk_in_the_quarantine() -> None:
+    """Windows showed 0.2 m/s; RTK then leaves the position by 1 m/s for 2 s and is lost: 1 m/s counts from there on."""
+    monitor = Monitor()
+    monitor.jump["drifts"], monitor.jump["rate_at"], monitor.jump["drift_speed"] = True, 0.2, 10.0
+    assert monitor.judge(0.3, conflict=True) == QUARANTINED
+    for k in range(1, 51):
+        grow_drift(DT, 10.0, SIN, COS, monitor.jump)
+        if k <= 20:
+            assert monitor.judge(0.3 + k * DT) == QUARANTINED
+    levels = np.array([[0.3, 0.2]])
+    widen(SIN, COS, np.zeros((1, 2)), monitor.jump, levels)
+    assert monitor.jump["rate_at"] == pytest.approx(1.0)
+    assert levels[0, 0] >= 0.3 + 0.3 + 5.0  # what the odometer is off by then, if it is the odometer
+    assert levels[0, 1] == pytest.approx(0.2)

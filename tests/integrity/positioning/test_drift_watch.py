@@ -185,6 +185,44 @@ def test_a_step_of_scale_within_its_bound_is_the_odometers_where_doppler_says_so
     raise AssertionError("not found")
 
 
+@pytest.mark.parametrize("off_rad", [0.0, 0.1, math.pi / 2.0, math.pi])
+def test_a_start_with_an_unknown_heading_is_no_drift(off_rad):
+    """At rest for 10 s, then 2 m/s^2; the heading is known to 104 degrees, and to 0.3 from the third second of motion.
+
+    A course that is 90 degrees wrong shortens the path to nothing. Street 11 of seed 3 took that for a drift along.
+    Then a drift along of 0.3 m/s is found: windows have begun anew.
+    """
+    rules, d, anchors, n, v = _rules(), np.zeros(1, DRIFT)[0], np.zeros(16, ANCHOR), 0.0, 0.0
+    for k in range(1, 1200):
+        t = k * DT
+        v = min(max(0.0, 2.0 * (t - 10.0)), SPEED)
+        n += DT * v
+        advance(DT, DT * v, 0.0, 0.0, v == 0.0, WALK, rules, d)
+        late = max(0.0, t - 90.0)
+        found = find_drift(0.0, n + 0.3 * late, RTK_M**2, v, rules, d, anchors)
+        if found >= 0:
+            assert 0.0 < late < 6.0
+            return
+        known = t > 13.0
+        heading, sigma = (0.0, math.radians(0.3)) if known else (off_rad, math.radians(104.0))
+        learn(0.0, n + 0.3 * late, RTK_M**2, v, heading, sigma**2, rules, d, anchors)
+        if known:
+            assert abs(d["course"]) < 0.01
+    raise AssertionError("not found")
+
+
+def test_a_drift_at_rest_is_found_while_the_heading_is_unknown():
+    rules, d, anchors = _rules(), np.zeros(1, DRIFT)[0], np.zeros(16, ANCHOR)
+    for k in range(1, 400):
+        advance(DT, 0.0, 0.0, 0.0, True, WALK, rules, d)
+        east = 0.2 * max(0.0, k * DT - 20.0)
+        if find_drift(east, 0.0, RTK_M**2, 0.0, rules, d, anchors) >= 0:
+            assert 0.1 < east < 3.5
+            return
+        learn(east, 0.0, RTK_M**2, 0.0, 0.0, math.radians(104.0) ** 2, rules, d, anchors)
+    raise AssertionError("not found")
+
+
 def test_the_variance_of_the_odometer_is_that_of_its_sum():
     k, sigma, tau, moving = np.arange(20_000), 0.05, 1.0, 8.0
     dt = moving / k.size
