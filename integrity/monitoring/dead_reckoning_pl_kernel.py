@@ -262,10 +262,10 @@ def shortened(sine: float, cosine: float, k: float, g: Any) -> float:
     ``k`` is the factor K: the sum of ``V dt (K sigma + B)^2 / 2``, at most twice the path; all parts with one sign.
     """
     if not 0.0 <= k < math.inf:
-        return 2.0 * (abs(sine) * g.run_e + abs(cosine) * g.run_n)
+        return float(2.0 * (abs(sine) * g.run_e + abs(cosine) * g.run_n))
     east = min(k * k * g.bow_ss_e + k * g.bow_sb_e + g.bow_bb_e, 2.0 * g.run_e)
     north = min(k * k * g.bow_ss_n + k * g.bow_sb_n + g.bow_bb_n, 2.0 * g.run_n)
-    return abs(sine) * east + abs(cosine) * north
+    return float(abs(sine) * east + abs(cosine) * north)
 
 
 @jit(borrows=True)
