@@ -47,7 +47,7 @@ CALIBRATE_MPS, AGREE_MPS = 2.0, 1.5  # speed from which Doppler gives a heading,
 class MonitorChoice(Config):
     """A monitor of the family, and the figures in which it differs from its kind; None: those of the kind."""
 
-    kind: str = Field("separation_fde", description="kind of the monitor, see 'lanebound monitors'; or context")
+    kind: str = Field("odds", description="kind of the monitor, see 'lanebound monitors'; or context")
     false_alarm: float | None = Field(None, gt=0, lt=1, description="P_FA of its test at an epoch [-]")
     satellite_prior: float | None = Field(None, gt=0, lt=1, description="P(fault) of a code [-]")
     code_sigma_m: float | None = Field(None, gt=0, description="deviation of its weight model at 45 dB-Hz [m]")

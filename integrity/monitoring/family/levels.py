@@ -18,6 +18,7 @@ from scipy.special import chdtrc, chdtri, chndtrix
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit
+from lanebound.integrity.monitoring.family.odds import odds_level
 from lanebound.integrity.monitoring.family.separations import (
     advanced_level,
     closed_level,
@@ -189,6 +190,7 @@ LEVELS: dict[LevelKind, Callable[[LevelWork], Array]] = {
     LevelKind.SEPARATION: _separated(closed_level),
     LevelKind.SEPARATION_PUBLISHED: _separated(published_level),
     LevelKind.SEPARATION_ROOT: _separated(root_level),
+    LevelKind.SEPARATION_ODDS: _separated(odds_level),
     LevelKind.ARAIM: _separated(advanced_level),
     LevelKind.SBAS: sbas,
     LevelKind.NORMAL: normal,

@@ -14,6 +14,7 @@ from lanebound.integrity.monitoring.family.fit import CodeFit, solve_codes
 from lanebound.integrity.monitoring.family.fixed import fixed_carriers
 from lanebound.integrity.monitoring.family.levels import LEVELS, LevelWork, fixed_level_false_alarm, normal_factor
 from lanebound.integrity.monitoring.family.memory import Remembered, composite, extended, isotropic_kalman
+from lanebound.integrity.monitoring.family.odds import trusted_codes
 from lanebound.integrity.monitoring.family.outcome import MonitorOutcome, MonitorVerdicts
 from lanebound.integrity.monitoring.family.rejection import REJECTIONS, ROBUST, global_threshold, local_threshold
 from lanebound.integrity.monitoring.family.relative import relative_position, relative_range
@@ -64,10 +65,11 @@ def watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: ArrayLike = 1e
 
 def _watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array) -> MonitorVerdicts:
     weighted = weighted_codes(epochs, config)
-    left = REJECTIONS[config.rejection](weighted, config)
+    trusted = trusted_codes(weighted, config, risks)
+    left = REJECTIONS[config.rejection](trusted, config)
     fit = solve_codes(left)
     work = LevelWork(left, fit, config, risks)
-    alarm, false_alarm = _test(work, weighted)
+    alarm, false_alarm = _test(work, trusted)
     position = fit.x_m
     if config.level is LevelKind.ARAIM:  # one search for both
         level, vpl = advanced_levels(work.epochs, fit, config, risks)
@@ -79,12 +81,12 @@ def _watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array) -> Mon
     solved: Bools = fit.solved
     if config.level in COASTS:
         solved = np.asarray(solved | np.isfinite(level).any(-1))
-    excluded = weighted.used & ~left.used
-    outcome = _outcome(fit, solved, np.asarray(excluded.any(-1)), alarm, level)
+    rejected = np.asarray((trusted.used & ~left.used).any(-1))
+    outcome = _outcome(fit, solved, rejected, alarm, level)
     none = (outcome > MonitorOutcome.EXCLUDED.code)[:, None]
     return MonitorVerdicts(
         np.where(solved[:, None], position, 0.0), np.where(none, np.inf, level), np.where(none, np.inf, vpl), outcome,
-        excluded, false_alarm,
+        epochs.used & ~left.used, false_alarm,
     )  # fmt: skip
 
 
