@@ -1,14 +1,14 @@
 """Codes that are weak for their elevation as fault modes with odds, by epoch: which are left out, and the levels.
 
-The modes are those of an RTK position with doubtful carriers (:mod:`~lanebound.integrity.monitoring.doubt_modes_kernel`):
-single codes with the threshold of their test, sets of two and three of them and whole systems with the separation that
-is observed, ``abs(x - x_A) + K sigma_A``, as no test of the family bounds it.
+The modes are those of :mod:`~lanebound.integrity.monitoring.doubt_modes_kernel`: single codes with the threshold of
+their test, sets of two and three of them and whole systems with the separation that is observed,
+``abs(x - x_A) + K sigma_A``, as no test of the family bounds it.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +97,8 @@ def level_codes(first: int, last: int, codes: DoubtedCodes, tables: OddsTables, 
             if codes.used[i, s]:
                 for k in range(3):
                     los[n, k] = codes.los[i, s, k]
-                group[n], variance[n], y[n], odds[n] = codes.group[s], codes.variance[i, s], codes.y[i, s], codes.odds[i, s]
+                group[n], variance[n], y[n] = codes.group[s], codes.variance[i, s], codes.y[i, s]
+                odds[n] = codes.odds[i, s]
                 n += 1
         if find_geometry(los, group, variance, bias, n, 1.0, 0.0, geo) != SOLVED:
             continue
