@@ -48,6 +48,9 @@ def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str, unchang
     owner, field = _find(model, loc)
     dotted = joined(path, loc) or model.__name__
     if kind == "extra_forbidden":
+        others = _kinds_with(owner, str(loc[-1]))
+        if others:
+            return f"{dotted} is no key of this kind but of {', '.join(others)}: leave it out, or choose that kind"
         advice = nearest(str(loc[-1]), owner.model_fields if owner else ())
         inside = joined("" if path.endswith(FILES) else path, loc[:-1])
         return f"{dotted} is not a known key: {_with_path(advice, inside)}"
@@ -57,6 +60,13 @@ def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str, unchang
         return _in_place(str(problem["ctx"]["error"]), dotted, model, path, loc)
     remedy = _remedy(problem, field, _before(unchanged, loc))
     return f"{dotted} must {_demand(problem, field)}, got {_found(problem['input'])}: {remedy}"
+
+
+def _kinds_with(model: type[BaseModel] | None, key: str) -> list[str]:
+    """Names of the kinds that have a key, of the family of a model (:mod:`.tagged`); none for other models."""
+    family: Any = getattr(model, "family", None)
+    kinds = {} if family is None else family.every_kind()
+    return [name for name, kind in kinds.items() if key in kind.model_fields]
 
 
 def below(path: str, line: str) -> str:
@@ -164,6 +174,8 @@ def _remedy(problem: Mapping[str, Any], field: FieldInfo | None, before: Any) ->
         return "write the number without quotes" if _is_number(value) else "give a number"
     if kind in LISTS and isinstance(value, int | float | str):
         return f"write [{value}]"
+    if kind in MAPPINGS:
+        return "write keys and values"
     if kind in ("enum", "literal_error"):
         words = str(problem["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
         advice = nearest(str(value), words)
@@ -216,8 +228,10 @@ def _walk(
 
 
 def _model_with(model: type[BaseModel] | None, key: int | str) -> type[BaseModel] | None:
-    """The model, or the first kind of a family of models (:mod:`.tagged`) that has the key."""
-    kinds: list[type[BaseModel] | None] = [*getattr(model, "kinds", {}).values()] or [model]
+    """The model, or of a family (:mod:`.tagged`) the first kind that has the key."""
+    family: Any = getattr(model, "family", None)
+    whole = family is not None and family is model
+    kinds: list[type[BaseModel] | None] = [*family.kinds.values()] if whole else [model]
     return next((kind for kind in kinds if kind is not None and key in kind.model_fields), kinds[0])
 
 

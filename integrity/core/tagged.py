@@ -106,6 +106,13 @@ class Tagged(Config):
         return found  # type: ignore[return-value]
 
     @classmethod
+    def every_kind(cls) -> dict[str, type[Tagged]]:
+        """All kinds by name; modules of built-in ones are imported."""
+        for name in cls.modules:
+            cls.kind_named(name)
+        return cls.kinds
+
+    @classmethod
     def _kind_of(cls, data: Mapping[str, Any]) -> type[Self]:
         name = data.get(cls.tag, cls.default)
         if name is None:

@@ -54,6 +54,12 @@ class MonitorChoice(Config):
     hal_m: float | None = Field(None, gt=0, description="alert limit of road RAIM [m]")
     errors: str | None = Field(None, description="preset or file of fit-errors, of kinds with fitted laws")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, data: Any) -> Any:
+        """The name of a kind in place of a mapping."""
+        return {"kind": data} if isinstance(data, str) else data
+
     @model_validator(mode="after")
     def _guards_an_epoch_alone(self) -> MonitorChoice:
         kind, there = monitor_named(self.kind), {"codes", "fit"}
@@ -118,6 +124,7 @@ def with_context(data: Any) -> Any:
     """Data with ``monitor: {kind: context, ...}`` as those of its parts: weighted RAIM (S5 equations 1 to 4) for the
     position, and the context monitor, which raises alerts."""
     monitor = data.get("monitor") if isinstance(data, Mapping) else None
+    monitor = {"kind": monitor} if monitor == CONTEXT else monitor
     if not isinstance(monitor, Mapping) or monitor.get("kind") != CONTEXT:
         return data
     own = {key: value for key, value in monitor.items() if key in MonitorChoice.model_fields}
