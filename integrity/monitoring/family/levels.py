@@ -20,7 +20,6 @@ from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit
 from lanebound.integrity.monitoring.family.odds import odds_level
 from lanebound.integrity.monitoring.family.separations import (
-    advanced_level,
     closed_level,
     published_level,
     root_level,
@@ -191,11 +190,10 @@ LEVELS: dict[LevelKind, Callable[[LevelWork], Array]] = {
     LevelKind.SEPARATION_PUBLISHED: _separated(published_level),
     LevelKind.SEPARATION_ROOT: _separated(root_level),
     LevelKind.SEPARATION_ODDS: _separated(odds_level),
-    LevelKind.ARAIM: _separated(advanced_level),
     LevelKind.SBAS: sbas,
     LevelKind.NORMAL: normal,
     LevelKind.ISOTROPIC: isotropic,
     LevelKind.RAYLEIGH: rayleigh,
     LevelKind.PARETO: pareto,
 }
-"""Levels that follow from an epoch alone; those with memory are in :mod:`.memory`."""
+"""Levels that follow from an epoch alone; ARAIM is in :mod:`.separations`, those with memory in :mod:`.memory`."""

@@ -71,8 +71,9 @@ def _watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array) -> Mon
     work = LevelWork(left, fit, config, risks)
     alarm, false_alarm = _test(work, trusted)
     position = fit.x_m
-    if config.level is LevelKind.ARAIM:  # one search for both
-        level, vpl = advanced_levels(work.epochs, fit, config, risks)
+    if config.level is LevelKind.ARAIM:  # one search for levels and tests
+        level, vpl, failed = advanced_levels(work.epochs, fit, config, risks)
+        alarm = failed if config.test is TestKind.SEPARATION else alarm
     elif config.level in MEMORY:
         found, vpl = MEMORY[config.level](work), _vertical(work)
         position, level, alarm = found.position_enu_m, found.hpl_m, alarm | found.alarm

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from code_geometry import quiet
+from scipy.special import erfcinv
 
-from lanebound.integrity.monitoring.araim import AraimConfig, araim
+from lanebound.integrity.monitoring.araim import AraimConfig, SortedModes, araim, checked_levels, levels_at
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.monitor import watch
 from lanebound.integrity.monitoring.family.separations import separations
+from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 from lanebound.integrity.monitoring.protection import closed_form_published, protection_levels
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
 from lanebound.integrity.monitoring.separation import separate
@@ -65,3 +67,33 @@ def test_sbas_levels_have_the_factors_of_their_operation() -> None:
     np.testing.assert_allclose(approach.hpl_m, 6.0 * fit.major_m[:, None] * np.ones(2))
     np.testing.assert_allclose(route.hpl_m[:, 0], 6.18 * fit.major_m)
     assert approach.vpl_m[0, 0] == pytest.approx(5.33 * np.sqrt(fit.cofactor[0, 2, 2]))
+
+
+@pytest.mark.parametrize("systems", [(5, 4, 4), (6, 3, 2, 1), (4, 4)])
+def test_modes_by_downdates_are_those_solved_anew(systems: tuple[int, ...]) -> None:
+    """Levels against the kernel that solves every mode again, the test against plain separations; pairs that take the
+    whole of a system of two, and satellites alone in theirs, included."""
+    e = quiet(6, sum(systems), len(systems), 37)
+    group = np.repeat(np.arange(len(systems)), systems)
+    noise = np.random.default_rng(39).normal(size=e.y_m.shape) * e.sigma_m
+    y = noise + np.array([40.0, -60.0] + [0.0] * (group.size - 2)) * (np.arange(6) % 2)[:, None]
+    budget = AraimConfig(
+        vertical_risk=1e-5, horizontal_risk=1e-5, vertical_false_alarm=1e-3, horizontal_false_alarm=1e-3,
+        unmonitored_below=1e-6, satellite_prior=1e-3, constellation_prior=1e-8, at_once=2,
+    )  # fmt: skip
+    modes = enumerate_faults(group, 1e-3, 1e-8, unmonitored_below=1e-6, at_once=2)
+    kept = SortedModes.of(modes, group)
+    assert len(kept) == modes.several.sum()
+    assert len(kept.pair) > len(kept.system) > 0
+    variance = e.sigma_m**2
+    up, plane, alarm = checked_levels(e.los_enu, group, variance, y, budget, kept, np.ones(1))
+    plain_up, plain = levels_at(e.los_enu, group, variance, variance, 0.0, budget, modes, np.ones(1))
+    np.testing.assert_allclose(up, plain_up, rtol=1e-7)
+    np.testing.assert_allclose(plane, plain, rtol=1e-7)
+    design = design_matrix(e.los_enu, np.broadcast_to(group, e.y_m.shape), len(systems))
+    removes = np.unique(np.concatenate([np.eye(group.size, dtype=bool), modes.removes]), axis=0)
+    parts = separate(design, np.eye(group.size) * variance[:, :, None], removes, np.full(6, EAST), y=y)
+    limit = np.sqrt(2.0) * erfcinv(2e-3 / (4.0 * (group.size + len(kept))))  # Qinv(a / (4 n))
+    size = np.abs(parts.separation_m) / np.where(parts.delta_m > 1e-6, parts.delta_m, np.inf)
+    assert (alarm[size.max((-1, -2)) > limit]).all()
+    assert alarm.tolist() == [False, True] * 3
