@@ -245,7 +245,7 @@ class MonitoredCodesNavigator(Navigator):
         usable = found.usable & np.isfinite(found.hpl_m[:, 0])
         rows = due[usable]
         b.position_m[rows], b.level_m[rows] = found.position_enu_m[usable], found.hpl_m[usable]
-        fit = solve_codes(epochs.with_codes(used=epochs.used & ~found.excluded))
+        fit = solve_codes(epochs.with_codes(used=found.used))
         b.sigma_m[rows], b.since_fix_s[rows] = fit.major_m[usable], 0.0
         b.due_s[due] = 0.0
         unit = solve_codes(epochs.with_codes(sigma_m=np.ones_like(epochs.sigma_m)))

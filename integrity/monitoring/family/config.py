@@ -110,6 +110,9 @@ class FamilyMonitorConfig(Config):
     )
     araim: AraimConfig | None = Field(None, description="aviation budgets of ARAIM; none: the risk of the road")
     en_route: bool = Field(False, description="K_H 6.18 of en route to LNAV in place of 6.0; DO-229D J.1")
+    vertical: bool = Field(
+        False, description="vertical levels as well, at the same risk; ARAIM, SBAS and normal errors always state them"
+    )
     most_excluded: int = Field(20, ge=0, le=64, description="most codes excluded one after another [-]")
     separable_below: float = Field(
         0.9, gt=0, le=1, description="largest correlation of tests of codes told apart [-]; chosen"

@@ -24,7 +24,7 @@ from lanebound.integrity.monitoring.family.odds_kernel import (
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.positioning.config import doubt_parameters
 
-__all__ = ["code_odds", "odds_level", "trusted_codes"]
+__all__ = ["code_odds", "odds_axes", "odds_level", "trusted_codes"]
 
 Array = NDArray[np.float64]
 
@@ -56,6 +56,12 @@ def trusted_codes(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array)
 
 def odds_level(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array) -> Array:
     """Root of the sum over single codes, sets and systems at their odds, ``hypot(PL_E, PL_N)``.  (E, R)."""
+    levels = odds_axes(epochs, fit, config, risks)
+    return np.asarray(np.hypot(levels[..., 0], levels[..., 1]))
+
+
+def odds_axes(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array) -> Array:
+    """Levels of the first two columns of the directions with half of the risk each.  (E, R, 2)."""
     used = np.require(fit.used, np.bool_, ["C", "W"])
     los = np.require(np.where(used[..., None], epochs.los_enu, np.array([0.0, 0.0, 1.0])), np.float64, ["C", "W"])
     variance = np.where(used, np.square(np.where(used, epochs.sigma_m, 1.0)), 1.0)
@@ -65,7 +71,7 @@ def odds_level(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, ri
     )  # fmt: skip
     levels = np.empty((epochs.count, risks.size, 2))
     run_rows(level_codes, epochs.count, codes, _tables(epochs, config, risks), levels, row_us=LEVEL_US)
-    return np.asarray(np.hypot(levels[..., 0], levels[..., 1]))
+    return levels
 
 
 def _group(epochs: CodeEpochs) -> NDArray[np.int64]:

@@ -21,7 +21,7 @@ from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm
 from lanebound.integrity.monitoring.separation import Separation
 from lanebound.integrity.positioning.least_squares import Solvability
 
-__all__ = ["advanced_levels", "closed_level", "published_level", "root_level", "separations"]
+__all__ = ["advanced_levels", "closed_level", "published_level", "root_axes", "root_level", "separations"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -66,15 +66,22 @@ def _rules(config: FamilyMonitorConfig, spend: bool = False) -> RiskConfig:
     )  # fmt: skip
 
 
-def _exact(
+def root_axes(
     epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array, closed: bool, spent: ArrayLike = 0.0
 ) -> Array:
+    """Levels of the first two columns of the directions with half of the risk each.  (E, R, 2)."""
     los = np.where(fit.used[..., None], epochs.los_enu, np.array([0.0, 0.0, 1.0]))
     variance = np.where(fit.used, np.square(np.where(fit.used, epochs.sigma_m, 1.0)), 1.0)
     found = protection_levels_batch(
         los, fit.used, epochs.system, variance, EAST_RAD, _rules(config), risks, closed=closed, spent=spent
     )  # fmt: skip
-    levels = found.closed_m if closed else found.root_m
+    return found.closed_m if closed else found.root_m
+
+
+def _exact(
+    epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array, closed: bool, spent: ArrayLike = 0.0
+) -> Array:
+    levels = root_axes(epochs, fit, config, risks, closed, spent)
     return np.hypot(levels[..., 0], levels[..., 1])
 
 

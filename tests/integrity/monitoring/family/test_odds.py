@@ -128,7 +128,9 @@ def test_several_late_codes_at_their_odds_stay_within_the_level() -> None:
 
 def test_left_out_codes_are_reported_and_are_no_exclusion() -> None:
     v = watch(weakened([12.0]), monitor_named("odds").config(), 1e-5)
-    assert v.excluded[:, 0].all()
+    assert not v.used[:, 0].any()
+    assert v.used[:, 1:].all()
+    assert not v.excluded.any()
     assert (v.outcome == 0).all()
 
 

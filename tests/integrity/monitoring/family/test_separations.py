@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from code_geometry import quiet
 from scipy.special import erfcinv
+from scipy.stats import binom
 
 from lanebound.integrity.monitoring.araim import AraimConfig, SortedModes, araim, checked_levels, levels_at
 from lanebound.integrity.monitoring.family.fit import solve_codes
@@ -97,3 +98,36 @@ def test_modes_by_downdates_are_those_solved_anew(systems: tuple[int, ...]) -> N
     size = np.abs(parts.separation_m) / np.where(parts.delta_m > 1e-6, parts.delta_m, np.inf)
     assert (alarm[size.max((-1, -2)) > limit]).all()
     assert alarm.tolist() == [False, True] * 3
+
+
+KINDS = ("separation", "separation_root", "odds", "weighted", "residual", "ibpl", "uncertainty")
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_vertical_levels_are_those_of_a_plane_that_has_the_height_as_its_axis(name: str) -> None:
+    """A separation of one axis at a risk is that of two axes at twice of it."""
+    e = quiet(40, 14, 2, 41)
+    config = monitor_named(name).config({"vertical": True, "test": "none"})
+    found = watch(e, config, [1e-2, 1e-4])
+    assert np.isfinite(found.vpl_m).all()
+    assert (found.vpl_m[:, 1] > found.vpl_m[:, 0]).all()
+    np.testing.assert_array_equal(found.hpl_m, watch(e, config.replace(vertical=False), [1e-2, 1e-4]).hpl_m)
+    assert np.isinf(watch(e, config.replace(vertical=False), 1e-2).vpl_m).all()
+    if name == "separation_root":
+        rules = RiskConfig(
+            satellite_prior=(1e-3,) * 8, false_alarm=1e-3, subtract_multiple=False, integrity_risk=2e-4
+        )  # fmt: skip
+        design = design_matrix(e.los_enu[..., [2, 0, 1]], np.broadcast_to(e.system, e.y_m.shape), 2)
+        covariance = np.eye(14) * e.sigma_m[:, :, None] ** 2
+        plain = separate(design, covariance, np.eye(14, dtype=bool), np.full(40, EAST), y=e.y_m)
+        root = protection_levels(plain, np.full((40, 14), 1e-3), rules)[:, 0]
+        np.testing.assert_allclose(found.vpl_m[:, 1], root[:, 0], atol=2e-3)
+
+
+def test_errors_of_the_height_stay_within_its_levels() -> None:
+    """Without faults, 20,000 epochs at 1e-2: above the bound by chance in one of a million runs."""
+    e = quiet(20_000, 12, 2, 43)
+    for name in ("separation_root", "weighted", "odds", "ibpl"):
+        v = watch(e, monitor_named(name).config({"vertical": True}), 1e-2)
+        beyond = int((v.usable & (np.abs(v.position_enu_m[:, 2]) > v.vpl_m[:, 0])).sum())
+        assert beyond <= binom.isf(1e-6, e.count, 1e-2)
