@@ -17,6 +17,7 @@ from pydantic import model_validator
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.presets import deep_merge
 from lanebound.integrity.monitoring.alerts import AlertReason, AlertState, step
 from lanebound.integrity.monitoring.family.budget import CodeBudget
@@ -200,7 +201,7 @@ class MonitoredCodesNavigator(Navigator):
         middle = b.heading_rad + 0.5 * turn
         velocity = speed[:, None] * np.stack([np.sin(middle), np.cos(middle)], -1)
         b.position_m[:, :2] += c.dt_s * velocity
-        b.heading_rad = np.mod(b.heading_rad + turn + np.pi, 2.0 * np.pi) - np.pi
+        b.heading_rad = wrap_angle(b.heading_rad + turn)
         drift = c.dt_s * c.gyro_bias_radps + c.positioning.heading.gyro_scale * np.abs(turn)
         b.sigma_heading_rad = np.minimum(b.sigma_heading_rad + drift, np.pi)
         grown = c.dt_s * np.hypot(c.speed_sigma_mps * (np.abs(speed) > 0.0), np.abs(speed) * b.sigma_heading_rad)
@@ -224,8 +225,7 @@ class MonitoredCodesNavigator(Navigator):
         good = (fit.df > 0) & (fit.wsse <= global_threshold(fit.df, self._monitor.false_alarm))
         good &= fit.solved & (np.abs(wheel) > CALIBRATE_MPS) & (np.abs(speed - np.abs(wheel)) < AGREE_MPS)
         back = np.where(wheel < 0.0, np.pi, 0.0)
-        off = np.arctan2(fit.x_m[:, 0], fit.x_m[:, 1]) + back - b.heading_rad
-        off = np.mod(off + np.pi, 2.0 * np.pi) - np.pi
+        off = wrap_angle(np.arctan2(fit.x_m[:, 0], fit.x_m[:, 1]) + back - b.heading_rad)
         sigma = np.where(good, self._lasting * fit.major_m / np.maximum(speed, 0.1), 1.0)
         share = np.where(good, b.sigma_heading_rad**2 / (b.sigma_heading_rad**2 + sigma**2), 0.0)
         b.heading_rad = b.heading_rad + share * off
