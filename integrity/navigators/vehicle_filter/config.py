@@ -168,6 +168,12 @@ class FilterConfig(NavigatorConfig):
         for row in self.transition:
             if abs(sum(row) - 1.0) > 1e-9:
                 raise ConfigError(f"transition must have rows of sum 1, got {list(row)}: correct it")
+        for name, column in zip(("straight", "curved"), zip(*self.transition, strict=True), strict=True):
+            if not sum(column) > 0.0:
+                raise ConfigError(
+                    f"transition must reach each model, got the column {list(column)} of {name}: make one of its "
+                    "entries larger than 0"
+                )
         return self
 
     @property

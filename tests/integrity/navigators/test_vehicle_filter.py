@@ -18,6 +18,7 @@ from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.navigators.vehicle_filter.levels_kernel import major_axis, mixture_level
 from lanebound.integrity.navigators.vehicle_filter.navigator import FilterNavigator
 from lanebound.integrity.positioning.filters.code_position import locate_by_codes
+from lanebound.integrity.positioning.filters.mixing_kernel import mixing_weights
 from lanebound.integrity.positioning.filters.odometry_kernel import CAR, from_front_wheel, rolling_slip
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.road import Road
@@ -285,3 +286,11 @@ def test_the_engine_navigates_as_a_single_environment(preset):
     assert abs(info["err_ct_m"]) < info["pl_ct_m"] < 20.0
     env.close()
     engine.close()
+
+
+def test_a_model_that_none_leads_to_is_refused():
+    with pytest.raises(ConfigError, match=r"transition must reach each model, got the column \[0\.0, 0\.0\] of curved"):
+        config(transition=[[1.0, 0.0], [1.0, 0.0]])
+    weight, predicted = np.zeros((2, 2)), np.zeros(2)
+    mixing_weights(np.array([0.5, 0.5]), np.array([[1.0, 0.0], [1.0, 0.0]]), True, weight, predicted)
+    assert np.isfinite(weight).all()
