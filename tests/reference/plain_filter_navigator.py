@@ -17,6 +17,7 @@ from plain_vehicle_models import MotionInput
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
+from lanebound.integrity.navigators.vehicle_filter.parameters import filter_parameters
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import BIASES, FilterState
 from lanebound.integrity.positioning.filters.code_position import locate_by_codes
 from lanebound.integrity.positioning.filters.vehicle_models import S
@@ -68,12 +69,16 @@ def locate(c: FilterConfig, b: FilterBelief, m: Measurements, bounds: Array) -> 
             nis[:, MOTION] = outcome.nis
     b.fix_age_s, b.moved_m = b.fix_age_s + c.dt_s, b.moved_m + np.abs(m.odometer.distance_m)
     p = c.position
-    due = fix.valid & b.known & (b.fix_age_s >= p.interval_s - 1e-9) & (b.moved_m >= p.least_move_m)
+    resting = b.moved_m < p.least_move_m
+    interval = np.where(resting, max(p.interval_s, p.rest_interval_s), p.interval_s)
+    due = fix.valid & b.known & (b.fix_age_s >= interval - 1e-9)
     if due.any():
         if c.sensor_errors:
             take_slow_error(b, fix, due, p.slow_tau_s)
+        par = filter_parameters(c)[0]
+        lasting = np.where(resting, par["rest_factor"], par["fast_factor"])
         heading = (b.probability * b.x[..., S.HEADING]).sum(-1)
-        observation = _grown(c, b, seen.gnss_position(c, fix, heading, due))
+        observation = _grown(c, b, seen.gnss_position(c, fix, heading, due, lasting))
         nis[:, GNSS] = steps.observe(b, observation, likelihood, c.gate.enabled).nis
         b.fix_age_s, b.moved_m = np.where(due, 0.0, b.fix_age_s), np.where(due, 0.0, b.moved_m)
     steps.conclude(b, predicted, likelihood)

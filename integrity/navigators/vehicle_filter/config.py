@@ -88,6 +88,12 @@ class GnssUpdateConfig(Config):
     least_move_m: float = Field(
         2.0, ge=0, description="least distance driven between two [m]; at rest reflections do not change"
     )
+    rest_interval_s: float = Field(
+        5.0,
+        gt=0,
+        description="after this time a position is used without that distance, with errors that last as at rest [s]; "
+        "chosen",
+    )
     fast_tau_s: float = Field(
         5.0, ge=0, description="correlation time of noise and multipath, bounded by more noise [s]; as tau of signals"
     )
@@ -128,6 +134,12 @@ class MotionUpdateConfig(Config):
     )
     speed_sigma_mps: float = Field(0.06, gt=0, description="speed by the wheels, 1 sigma [m/s]; S1 section 4: 0.05")
     speed_tau_s: float = Field(0.2, ge=0, description="correlation time of its error [s]; slip, pulses")
+    creep_tau_s: float = Field(
+        5.0,
+        ge=0,
+        description="how long a vehicle creeps where its odometer shows rest, bounded by more noise; a longer one is "
+        "bounded as a constant error [s]; chosen",
+    )
     slip_sigma_deg: float = Field(0.3, gt=0, description="slip by the geometry, 1 sigma [deg]; chosen")
     slide_sigma_deg: float = Field(0.1, ge=0, description="1-sigma of the slide correction at the start [deg]; chosen")
     steering_sigma_deg: float = Field(0.12, gt=0, description="angle of the front wheel, 1 sigma [deg]; ChassisConfig")

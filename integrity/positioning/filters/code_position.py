@@ -66,7 +66,10 @@ class CodePositionConfig(Config):
         DifferentialErrorBudget(reflections_m=0.3), description="errors of codes corrected by the station"
     )
     height_sigma_m: float | None = Field(
-        None, gt=0, description="1 sigma of the height of the road over its origin, by a map [m]; none: not used"
+        None,
+        gt=0,
+        description="1 sigma of the height of the road over its origin, by a map [m]; a position then has a "
+        "redundant row at least; none: not used",
     )
     max_age_s: float = Field(30.0, gt=0, description="oldest usable corrections [s]; RTKLIB default")
     false_rejection: float = Field(
@@ -157,8 +160,11 @@ def _position(
     fast = (plane * (rows.fast * excess[:, None])[:, None, :]) @ transposed
     common = plane @ rows.common
     slow = (plane * rows.own[:, None, :]) @ transposed + common @ np.swapaxes(common, -1, -2)
-    hdop = solve_ranges(rows.los, rows.code, 1.0, used, rows.system).hdop_m
+    plain = solve_ranges(rows.los, rows.code, 1.0, used, rows.system, rows.height)
+    hdop = np.where(plain.solved, plain.hdop_m, np.inf)
     valid = good & (hdop <= config.max_hdop)
+    if rows.height is not None:
+        valid &= fit.df >= 1  # a height that is wrong shows in the residuals only beside a redundant code
     rate = np.where(used, rows.rate, 0.0)
     by_satellite, own = np.zeros((*used.shape[:1], rows.satellites, 2)), np.zeros((used.shape[0], rows.satellites))
     row, column = np.nonzero(used)

@@ -294,3 +294,64 @@ def test_a_model_that_none_leads_to_is_refused():
     weight, predicted = np.zeros((2, 2)), np.zeros(2)
     mixing_weights(np.array([0.5, 0.5]), np.array([[1.0, 0.0], [1.0, 0.0]]), True, weight, predicted)
     assert np.isfinite(weight).all()
+
+
+def few_satellites(m, count):
+    """The first satellites that are tracked, for each vehicle."""
+    rank = np.cumsum(m.gnss.tracked, -1)
+    return replace(m, gnss=replace(m.gnss, tracked=m.gnss.tracked & (rank <= count)))
+
+
+def test_a_known_height_counts_beside_a_redundant_code_alone():
+    """Three codes of one system and a height: solvable, and nothing would show a wrong one of them."""
+    more = {"sky": {"gps": 24, "galileo": 0, "glonass": 0, "beidou": 0}}
+    navigator, truths = drives([1, 2], **more)
+    m = navigator.measure(next(truths))
+    plain = navigator.config.position.codes
+    known = plain.replace(height_sigma_m=0.5)
+    three = locate_by_codes(known, few_satellites(m, 3))
+    assert (three.satellites == 3).all()
+    assert (three.hdop > 0.0).all()
+    assert not three.valid.any()
+    assert np.isinf(locate_by_codes(plain, few_satellites(m, 3)).hdop).all()
+    every = locate_by_codes(known, m)
+    assert every.valid.all()
+    assert (every.hdop <= locate_by_codes(plain, m).hdop + 1e-9).all()
+
+
+def test_a_first_position_has_the_constant_error_of_positions():
+    navigator, truths = drives([1, 2], start=False)
+    for _ in range(100):
+        navigator.step(next(truths))
+        b = navigator.state.belief
+        begun = b.vehicles["known"] & (b.vehicles["fix_age"] == 0.0) & (b.vehicles["unconfirmed"] == 3)
+        if begun.any():
+            break
+    assert begun.any()
+    np.testing.assert_allclose(b.influence[begun][:, :, [0, 1], [0, 1]], 1.0)
+    navigator.place(np.zeros((2, 2)), np.zeros(2), 0.1, 0.01)
+    assert not navigator.state.belief.influence[:, :, :2].any()
+
+
+def test_a_creep_that_the_odometer_shows_as_rest_is_within_the_levels():
+    """60 s at 0.1 m/s along a straight road: the odometer shows 0 throughout."""
+    c = config()
+    navigator = Navigator.nominal(c, [1, 2], duration_s=80.0)
+    car = CityDrive(BEND, DriveConfig(), c.dt_s)
+    traffic = Streams([1, 2])
+    state = car.start(traffic)
+    navigator.place(state.position_m.copy(), state.heading_rad.copy(), 0.05, np.deg2rad(0.5))
+    truth = car.step(state, traffic)
+    start, still = truth.position_enu_m.copy(), np.zeros_like(truth.velocity_enu_mps)
+    along = np.array([1.0, 0.0, 0.0])
+    for k in range(600):
+        position = start + 0.1 * c.dt_s * (k + 1) * along
+        t = replace(truth, position_enu_m=position, velocity_enu_mps=still + 0.1 * along)
+        m = navigator.measure(t)
+        m = replace(m, odometer=replace(m.odometer, speed_mps=np.zeros(2), distance_m=np.zeros(2)),
+                    imu=replace(m.imu, delta_v_mps=np.zeros((2, 3)), delta_theta_rad=np.zeros((2, 3))))  # fmt: skip
+        s = navigator.locate(m)
+        error = np.abs(s.position_en_m - position[:, :2])
+        assert (error[:, 0] <= s.pl_at_m).all()
+        assert (error[:, 1] <= s.pl_ct_m).all()
+    assert (s.pl_at_m < 20.0).all()  # positions at rest bound it
