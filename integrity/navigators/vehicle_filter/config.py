@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.navigators.navigator import NavigatorConfig
-from lanebound.integrity.positioning.filters.code_position import CodePositionConfig, CodeSource
+from lanebound.integrity.positioning.filters.code_position import SBAS, CodePositionConfig, CodeSource
 from lanebound.integrity.positioning.filters.vehicle_models import TRANSITION, Interaction, Predictor
 from lanebound.integrity.sensors.gnss import GnssConfig
 
@@ -188,6 +188,15 @@ class FilterConfig(NavigatorConfig):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _sbas_corrects_the_first_band(self) -> Self:
+        if self.position.codes.source is CodeSource.SBAS and self.gnss.bands[0] != 0:
+            raise ConfigError(
+                f"gnss.bands must begin with 0 (L1) for position.codes.source sbas, got {list(self.gnss.bands)}: "
+                "set [0], or another source"
+            )
+        return self
+
     @property
     def chosen_models(self) -> tuple[str, ...]:
         """Names of the models that run."""
@@ -206,7 +215,10 @@ class FilterConfig(NavigatorConfig):
 
     @property
     def receiver(self) -> GnssConfig:
-        """The receiver, with undifferenced observables where the positions are made of them."""
-        if self.position.codes.source is CodeSource.UNDIFFERENCED and not self.gnss.undifferenced:
-            return self.gnss.replace(undifferenced=True)
-        return self.gnss
+        """The receiver, with undifferenced observables and SBAS where the positions are made of them."""
+        source, gnss = self.position.codes.source, self.gnss
+        if source is CodeSource.SBAS and SBAS not in gnss.augmentation.providers:
+            gnss = gnss.replace(augmentation={"providers": [*gnss.augmentation.providers, SBAS]})
+        if source is not CodeSource.DIFFERENTIAL and not gnss.undifferenced:
+            gnss = gnss.replace(undifferenced=True)
+        return gnss

@@ -268,7 +268,7 @@ def test_wrong_configurations_are_refused():
         config(models=["curved", "curved"])
 
 
-@pytest.mark.parametrize("preset", ["imm_differential", "imm_s4"])
+@pytest.mark.parametrize("preset", ["imm_differential", "imm_s4", "imm_sbas"])
 def test_the_engine_navigates_as_a_single_environment(preset):
     """Presets drive environments and the vector engine, bit for bit alike in the same episode."""
     settings = {"navigator": preset, "duration_s": 2.0, "sky": "open", "observation": {"form": "flat"}}
@@ -356,3 +356,62 @@ def test_a_creep_that_the_odometer_shows_as_rest_is_within_the_levels():
         assert (error[:, 0] <= s.pl_at_m).all()
         assert (error[:, 1] <= s.pl_ct_m).all()
     assert (s.pl_at_m < 20.0).all()  # positions at rest bound it
+
+
+SBAS = {"position": {"codes": {"source": "sbas"}}, "gnss": {"augmentation": {"warm": True}}}
+
+
+def test_sbas_corrects_codes_as_its_service_does():
+    """64 vehicles of as many skies: SBAS takes a part of the errors, its sigmas hold the rest, HPL_SBAS is theirs."""
+    found = {}
+    for source in ("undifferenced", "sbas"):
+        c = config(position={"codes": {"source": source}})
+        navigator = Navigator.nominal(c, list(range(64)), duration_s=20.0)
+        car, traffic = CityDrive(BEND, DriveConfig(), c.dt_s), Streams(list(range(64)))
+        state = car.start(traffic)
+        for _ in range(5):
+            truth = car.step(state, traffic)
+            m = navigator.measure(truth)
+        fix = locate_by_codes(c.position.codes, m)
+        assert fix.valid.all()
+        error = fix.position_m[:, :2] - truth.position_enu_m[:, :2]
+        found[source] = np.sqrt(np.square(error).sum(-1).mean())
+        ratio = np.square(error).sum(-1) / np.trace(fix.fast_m2 + fix.slow_m2, axis1=1, axis2=2)
+    assert ratio.mean() < 0.6  # of SBAS, which declares 2.3 sigma
+    assert found["sbas"] < 0.75 * found["undifferenced"]
+    held = m.gnss.corrections["sbas_l1"]
+    corrected = np.isfinite(held.declared_m)
+    assert (fix.own_m2[:, ~corrected] == 0.0).all()
+    sine = m.sky.los_enu[m.sky.index][..., 2]
+    slant2 = 1.0 / (1.0 - (6378136.3 / 6728136.3) ** 2 * (1.0 - sine**2))
+    declared = held.declared_m**2 + slant2 * held.zenith_declared_m**2
+    grown = declared + 1e-3 * held.age_s[:, None] + slant2 * 0.006 * held.zenith_age_s[:, None]
+    used = fix.own_m2 > 0.0
+    np.testing.assert_allclose(fix.own_m2[used], grown[used], rtol=1e-9)
+    navigator.locate(m)
+    q = fix.fast_m2 + fix.slow_m2
+    hpl = np.sqrt([np.linalg.eigvalsh(v)[-1] for v in q]) * 6.18  # K_H en route, DO-229D
+    np.testing.assert_allclose(navigator.report.hpl_sbas_m, hpl, rtol=1e-9)
+
+
+def test_sbas_that_is_too_old_gives_no_position():
+    navigator, truths = drives([1, 2], **SBAS)
+    for _ in range(5):
+        m = navigator.measure(next(truths))
+    assert locate_by_codes(navigator.config.position.codes, m).valid.all()
+    held = m.gnss.corrections["sbas_l1"]
+    for late in ({"age_s": np.array([18.1, 0.0])}, {"zenith_age_s": np.array([np.inf, 0.0])}):
+        old = replace(m, gnss=replace(m.gnss, corrections={"sbas_l1": replace(held, **late)}))
+        fix = locate_by_codes(navigator.config.position.codes, old)
+        assert not fix.valid[0]
+        assert np.isfinite(fix.position_m).all()
+        assert np.isfinite(fix.slow_m2).all()
+    with pytest.raises(ConfigError, match=r"gnss\.bands must begin with 0"):
+        config(position={"codes": {"source": "sbas"}}, gnss={"bands": [2]})
+
+
+def test_a_filter_by_sbas_is_within_its_levels():
+    navigator, truths = drives([1, 2, 3], **SBAS)
+    error, solutions = errors(navigator, truths, 130)
+    assert (error <= np.array([np.hypot(s.pl_at_m, s.pl_ct_m) for s in solutions])).all()
+    assert navigator.state.belief.vehicles["biased"].all()  # positions were used
