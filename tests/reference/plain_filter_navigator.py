@@ -15,6 +15,7 @@ from plain_multiple_models import combine
 from plain_vehicle_models import MotionInput
 
 from lanebound.integrity.core.frames import wrap_angle
+from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.parameters import filter_parameters
@@ -102,4 +103,8 @@ def _levels(c: FilterConfig, b: FilterBelief, bounds: Array, nis: Array) -> Plai
         with_slow_errors(b.p[..., :2, :2], b.influence[:, :, :2, BIASES:]), b.influence[:, :, :2, :BIASES],
     )  # fmt: skip
     heading = np.asarray(wrap_angle(x[:, S.HEADING]))
-    return PlainSolution(x[:, :2], covariance_levels(c.cases, c.risk, models, bounds, heading, trust), trust, nis)
+    levels = covariance_levels(c.cases, c.risk, models, bounds, heading, trust)
+    if c.position.excess_tau_s > 0.0:
+        exact = np.array([case.variant is not Variant.PUBLISHED for case in c.cases])[None, :, None]
+        levels = levels * np.where(exact, np.sqrt(np.maximum(b.excess, 1.0))[:, None, None], 1.0)
+    return PlainSolution(x[:, :2], levels, trust, nis)

@@ -101,8 +101,9 @@ class GnssUpdateConfig(Config):
     excess_tau_s: float = Field(
         15.0,
         ge=0,
-        description="memory of the NIS of positions, rejected ones too; their noise grows by its mean; 0: it does not "
-        "[s]; chosen on dense streets of seed 101: reflections of a canyon last for some 100 m",
+        description="memory of the NIS of positions, rejected ones too; their noise grows by its mean, exact levels by "
+        "the root of it; 0: they do not [s]; chosen on dense streets of seed 101: reflections of a canyon last for "
+        "some 100 m",
     )
     bias_m: float = Field(
         0.1, ge=0, description="bound of a constant error of positions, on each axis [m]; datum and antenna, chosen"

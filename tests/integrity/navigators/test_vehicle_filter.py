@@ -197,6 +197,25 @@ def test_the_noise_of_positions_grows_with_their_innovations():
     assert (quiet.state.belief.vehicles["excess"] < 2.0).all()
 
 
+def test_levels_grow_by_the_misfit_of_positions():
+    """By the root of the mean NIS / 2; the published level does not."""
+    cases = {"more_levels": [{"integrity_risk": 1e-3}, {"integrity_risk": 1e-7, "variant": "published"}]}
+    navigator, truths = drives([1, 2], **cases)
+    solution = errors(navigator, truths, 70, shifted)[1][-1]
+    excess = navigator.state.belief.vehicles["excess"]
+    assert (excess > 3.0).all()
+    b, heading = navigator.state.belief, solution.heading_rad
+    t = np.stack([np.sin(heading), np.cos(heading)], -1)[:, None]  # along
+    far = np.abs((t * (b.x[..., :2] - solution.position_en_m[:, None])).sum(-1))
+    moved = (t[..., None] * b.influence[:, :, :2]).sum(2)
+    far += np.abs(moved[..., :5]) @ navigator._parameters["bounds"][0]
+    sigma = np.sqrt(np.einsum("bri,brij,brj->br", t + 0 * far[..., None], b.p[..., :2, :2], t + 0 * far[..., None])
+                    + np.square(moved[..., 5:]).sum(-1))  # fmt: skip
+    least = np.min(far + norm.isf(0.5e-3) * sigma, -1)  # of one model, at no less than the budget of one side
+    assert (solution.pl_cases_m[:, 1, 0] >= np.sqrt(excess) * 0.9 * least).all()
+    np.testing.assert_allclose(solution.pl_cases_m[:, 2], np.repeat(navigator.report.htl_m[:, None], 2, 1))
+
+
 def test_a_filter_that_rejects_for_long_doubts_itself():
     navigator, truths = drives([1, 2], gate={"lost_s": 3.0})
     _, solutions = errors(navigator, truths, 130, shifted)
