@@ -233,7 +233,7 @@ def mode_rows(result: Mapping[str, Any]) -> Table:
 
 def trust_rows(result: Mapping[str, Any]) -> Table:
     """S4's horizontal trust level of filters: how often the horizontal error is beyond it; no row without one."""
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (
             sky,
             f"{t['epochs']:,}",

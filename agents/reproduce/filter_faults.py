@@ -137,7 +137,7 @@ def fault_rows(result: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[s
         "fault", "filter", "codes excluded", "rejected", "after", "largest [m]", "5 .. 95 %; most",
         f"> PL at {RISK:g}", "> HTL",
     )  # fmt: skip
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, found in result["faults"].items():
         for key, f in found["filters"].items():
             low, middle, high, most = (f"{v:.1f}" for v in f["worst_m"])
