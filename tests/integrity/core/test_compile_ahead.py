@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import sys
+import threading
 from importlib import import_module
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -35,8 +38,14 @@ def two(first, last, x):
 @jit
 def three(first, last, x):
     x[first] -= 3.0
+
+
+@jit
+def of_record(first, last, record):
+    record.x[first] += 1.0
 """
 SIGNATURE = types.int64, types.int64, types.float64[::1]
+HANGS = "import time; time.sleep(600.0)"
 DIES = "import pickle, sys; pickle.load(sys.stdin.buffer); pickle.load(sys.stdin.buffer)"  # in its first kernel
 
 
@@ -47,7 +56,8 @@ def kernels(tmp_path, monkeypatch):
     (tmp_path / f"{name}.py").write_text(SOURCE + f"# {tmp_path}\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
-    monkeypatch.delenv(compile_ahead.VARIABLE, raising=False)
+    for name_of_variable in (compile_ahead.VARIABLE, compile_ahead.WORKER):
+        monkeypatch.delenv(name_of_variable, raising=False)
     module = import_module(name)
     yield module.one, module.two, module.three
     del sys.modules[name]
@@ -97,6 +107,55 @@ def test_when_the_second_process_dies_this_one_compiles_all(kernels, monkeypatch
     assert _result(kernels) == 9.0
 
 
+def _finishes(ahead, within_s=60.0):
+    """Whether ``finish`` returns in time; a thread, so that an endless wait fails the test and does not hang it."""
+    thread = threading.Thread(target=ahead.finish, daemon=True)
+    thread.start()
+    thread.join(within_s)
+    return not thread.is_alive()
+
+
+def test_a_signature_that_no_other_process_can_read_is_compiled_by_this_one(kernels):
+    class Local(NamedTuple):
+        x: Any
+
+    of_record = sys.modules[kernels[0].py_func.__module__].of_record
+    signature = types.int64, types.int64, numba.typeof(Local(np.zeros(1)))
+    with pytest.raises((AttributeError, TypeError, pickle.PicklingError)):
+        pickle.dumps(signature)
+    ahead = Ahead([of_record], signature)
+    ahead._direct()
+    assert ahead._waiting == [0]
+    assert _finishes(ahead)
+    assert signature in of_record.overloads
+
+
+def test_a_second_process_that_hangs_is_ended_and_this_one_compiles_all(kernels, monkeypatch, caplog):
+    monkeypatch.setattr(compile_ahead, "PROGRAM", HANGS)
+    ahead = Ahead(kernels, SIGNATURE, limit_s=0.5)
+    director = threading.Thread(target=ahead._direct, daemon=True)
+    director.start()
+    with ahead._changed:
+        assert ahead._changed.wait_for(lambda: ahead._theirs is not None, timeout=30.0)
+    assert _finishes(ahead)
+    director.join(30.0)
+    assert not director.is_alive()
+    assert ahead._process.returncode is not None, "the process has ended"
+    assert "no kernel in 0.5 s" in caplog.text
+    for kernel in kernels:
+        kernel.address(SIGNATURE)
+    assert _misses(kernels) == [1, 1, 1]
+    assert _result(kernels) == 9.0
+
+
+def test_after_its_end_a_second_process_gets_no_kernel(kernels):
+    ahead = Ahead(kernels, SIGNATURE)
+    assert ahead._give() == 0
+    ahead._end()
+    assert ahead._give() is None
+    assert ahead._waiting == [0, 1, 2]
+
+
 def test_without_permission_for_a_process_this_one_compiles_all(kernels, monkeypatch):
     monkeypatch.setattr(compile_ahead.sys, "executable", "/nowhere/python")
     ahead = Ahead(kernels, SIGNATURE).start()
@@ -119,6 +178,7 @@ def _set(name, value):
 REASONS = {
     "one processor": _set("NUMBA_NUM_THREADS", 1),
     "a worker process": lambda patch: patch.setattr(multiprocessing, "parent_process", lambda: 1),
+    "a worker of pytest-xdist": lambda patch: patch.setenv(compile_ahead.WORKER, "gw0"),
     "switched off": lambda patch: patch.setenv(compile_ahead.VARIABLE, "0"),
     "no interpreter": lambda patch: patch.setattr(sys, "executable", ""),
 }
