@@ -34,7 +34,7 @@ class CodeServiceConfig(Config):
     errors: CodeErrorBudget = Field(
         IN_STREETS,
         description="error budget of ranges; with a provider its satellite and ionosphere are the provider's. 1 m of "
-        "reflections bounds the L1 codes of strong signals in simulated streets; an open sky has none",
+        "reflections lies between the RMS of strong L1 codes in urban and dense streets; an open sky has none",
     )
     zenith_state: bool = Field(False, description="estimate the zenith delay of the troposphere in a filter")
     code_bias_m: float = Field(0.3, ge=0, description="bound of a lasting error of one code [m]; antenna, correlator")
