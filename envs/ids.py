@@ -365,7 +365,7 @@ class Intersection(Preset):
 
     ## Episode End
     Terminated on arrival, 25 m beyond the crossing on the exit to the destination, without which there is no success.
-    Truncated after 40 s. A success requires 0.25 of the allowed speed (`success_share`): 10 s to wait, and more than a
+    Truncated after 40 s. A success requires 0.3 of the allowed speed (`success_share`): 8 s to wait, and more than a
     crawl at a quarter of the limit.
 
     ## Arguments
@@ -385,7 +385,7 @@ class Intersection(Preset):
         "action_options": {"target_speeds": [0, 2, 4, 6]},
         "observation": {"vehicles": 12},
         "world": {"duration": 40, "spawn_probability": 0.14, "initial_vehicle_count": 7},
-        "success_share": 0.25,
+        "success_share": 0.3,
         "cost_limit": 8.0,
     }
 

@@ -107,6 +107,11 @@ class ResultFolder:
             raise self._refusal(f"which differs in {_few(changed)}", self.remedy)
         return found
 
+    def release(self) -> None:
+        """Give a claimed folder back that holds no results, so that other work may claim it."""
+        if set(_names_in(self.path)) <= {MANIFEST}:
+            (self.path / MANIFEST).unlink(missing_ok=True)
+
     def manifest(self) -> dict[str, Any]:
         """The manifest of a claimed folder.
 

@@ -64,9 +64,12 @@ def replay(
     """
     _limit_blas_threads()
     from lanebound.agents.cli.output import print_json
+    from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
-    names = [name.strip() for name in service.split(",")] if service else []
+    if service is not None and navigator is not None:
+        raise InputError(f"--navigator must be left out with --service, got {navigator}: give one of them")
+    names = [name.strip() for name in service.split(",")] if service is not None else []
     kind = "drive on a service" if names else "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
     found, written = _solve(
         out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, names, navigator)
@@ -138,11 +141,16 @@ def _solve(out: Path, kind: str, work: Callable[[Progress], T]) -> T:
     """The result of ``work``, which writes into a folder of its kind and reports the epochs that are solved."""
     from lanebound.agents.checkpointing.folder import ResultFolder
     from lanebound.agents.cli.progress import resumable, with_bar
+    from lanebound.integrity.core.errors import InputError
 
-    start = time.time()
-    ResultFolder(out, kind).claim()
-    with resumable(lambda: _written_text(out, start)):
-        return with_bar("epochs", lambda on_progress: work(_epochs(on_progress)))
+    start, folder = time.time(), ResultFolder(out, kind)
+    folder.claim()
+    try:
+        with resumable(lambda: _written_text(out, start)):
+            return with_bar("epochs", lambda on_progress: work(_epochs(on_progress)))
+    except InputError:
+        folder.release()
+        raise
 
 
 def _written_text(out: Path, start_s: float) -> str:

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 class Fixes(NamedTuple):
-    """Solutions of B vehicles, (B,) and (B, 2): fields of ``Solution``, the last four of its ``context``."""
+    """Solutions of B vehicles, (B,) and (B, 2): fields of ``Solution`` and of its ``context``."""
 
     position_en_m: Array
     heading_rad: Array

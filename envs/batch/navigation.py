@@ -88,7 +88,8 @@ def fleet_generator(seed: int) -> np.random.Generator:
 def fixes_of(solution: Solution) -> Fixes:
     """The fields of a solution that kernels read."""
     context = solution.context or ContextReport.none(solution.batch)
-    return Fixes(*[getattr(solution, name) for name in OF_SOLUTION], *context[: len(OF_CONTEXT)])
+    given = {name: getattr(solution, name) for name in OF_SOLUTION}
+    return Fixes(**given, **{name: getattr(context, name) for name in OF_CONTEXT})
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ class ContextGuard:
     config : ContextGuardConfig
     road_map : the true map; the vehicles have it with the errors of the configuration
     dt_s : length of an epoch of the navigator
-    one_in : only every so manieth vehicle has a monitor, beginning with the first
+    one_in : vehicles 0, one_in, 2 one_in, ... have a monitor, the others none [-]
     """
 
     def __init__(self, config: ContextGuardConfig, road_map: RoadMap, dt_s: float, one_in: int = 1) -> None:

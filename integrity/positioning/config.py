@@ -110,9 +110,10 @@ class DriftWatchConfig(Config):
     """The drift watch (:mod:`.drift_watch_kernel`)."""
 
     window_s: float = Field(
-        16.0,
+        0.0,
         ge=0,
-        description="longest window over which RTK is compared with the path by gyro and odometer [s]; 0: off",
+        description="longest window over which RTK is compared with the path by gyro and odometer [s]; 0: off, 16 when "
+        "in use; a change of the odometer's scale cannot be told from a drift",
     )
     windows: int = Field(16, ge=2, le=64, description="windows of different lengths that are compared at once [-]")
     false_alarms_per_h: float = Field(

@@ -108,7 +108,7 @@ def test_prints_tables():
         (["LaneKeeping", "--video", "film.mp4", "--fps", "3"], "error: fps must divide simulation_hz = 20, got 3"),
         (["LaneKeeping", "--video", f"{__file__}/a.mp4"], "error: video must be a file that can be written, got"),
         (["Merge", "--agent", "lqr"], "error: action must be continuous for agent 'lqr', got meta-actions: choose one"),
-        (["LaneKeeping", "--set", "navigator.rate_hz=5"], "error: navigator.rate_hz is not a known key: did you mean"),
+        (["LaneKeeping", "--set", "navigator.rate_hz=5"], "error: navigator.rate_hz is not a known key: known are"),
         (["LaneKeeping", "--set", "navigator.dt_s=0.2"], "error: navigator.dt_s must be 1 / navig"),
         (["LaneKeeping", "--out", __file__], "error: out must be a folder that can be written"),
         (["LaneKeeping", "--episodes", "0"], "error: --episodes must be >= 1, got 0"),

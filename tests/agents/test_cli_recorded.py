@@ -11,7 +11,8 @@ import pytest
 
 from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli import progress
-from lanebound.agents.cli.recorded import _limit_blas_threads, _written_text
+from lanebound.agents.cli.recorded import _limit_blas_threads, _solve, _written_text
+from lanebound.integrity.core.errors import InputError
 
 
 def test_linear_algebra_gets_one_thread_unless_the_user_says_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,6 +36,18 @@ def test_an_interrupt_names_what_is_written(tmp_path: Path) -> None:
     assert _written_text(tmp_path, 0.0) == f"replay.json is written in {tmp_path}; later files are missing"
     old = (tmp_path / "replay.json").stat().st_mtime + 100.0
     assert _written_text(tmp_path, old) == "nothing is kept"  # of an earlier run
+
+
+def test_a_refusal_leaves_a_folder_that_other_work_can_claim(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+
+    def refused(_: object) -> int:
+        raise InputError("wrong")
+
+    with pytest.raises(InputError, match="wrong"):
+        _solve(out, "replayed drive", refused)
+    assert not list(out.iterdir())
+    assert _solve(out, "drive on a service", lambda _: 1) == 1
 
 
 def test_slow_work_reports_within_half_a_minute(

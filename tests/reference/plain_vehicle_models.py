@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.positioning.filters.vehicle_models import NOISES, STATES, S
+from lanebound.integrity.positioning.filters.vehicle_models import S
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import NOISES, STATES
 
 __all__ = ["MotionInput", "jacobian", "noise_gain", "scan_sigmas", "transition"]
 

@@ -106,6 +106,9 @@ def _assert_same(a: Solution, b: Solution, row: int | None = None) -> None:
     """Every field has the same bits; with ``row`` vehicle ``row`` of a against the only vehicle of b."""
     for field in fields(Solution):
         one, two = getattr(a, field.name), getattr(b, field.name)
+        if one is None:  # no context monitor
+            assert two is None
+            continue
         np.testing.assert_array_equal(one if row is None or field.name == "time_s" else one[[row]], two)
 
 
@@ -122,7 +125,8 @@ def test_open_sky_gives_rtk_in_seconds_within_its_protection_levels() -> None:
     assert run.alert[0].all()
     assert not run.alert[60:].any()
     for field in fields(Solution):
-        assert not np.isnan(getattr(run, field.name)).any(), field.name
+        if field.name != "context":  # no context monitor
+            assert not np.isnan(getattr(run, field.name)).any(), field.name
 
 
 def test_heading_and_velocity_follow_the_motion_in_every_quadrant() -> None:
@@ -522,7 +526,8 @@ def test_without_a_sky_there_is_no_position_and_no_exception() -> None:
     assert run.alert.all()
     assert (run.satellites == 0).all()
     for field in fields(Solution):
-        assert not np.isnan(getattr(run, field.name)).any(), field.name
+        if field.name != "context":  # no context monitor
+            assert not np.isnan(getattr(run, field.name)).any(), field.name
 
 
 def _rtk_rows(m: Measurements, s: Solution, v: int) -> tuple[NDArray[np.int64], Array]:

@@ -23,7 +23,8 @@ DT, SPEED = 0.1, 10.0
 RTK_M = 0.01
 WARM_S = 60.0
 BIAS_RADPS = 1e-4  # what is left of a gyro's bias
-WALK = 2.5e-4**2 + BIAS_RADPS**2 * DriftWatchConfig().window_s
+WATCH = DriftWatchConfig(window_s=16.0)
+WALK = 2.5e-4**2 + BIAS_RADPS**2 * WATCH.window_s
 
 
 @jit
@@ -58,7 +59,7 @@ def _watched(noise, gyro, rtk, turning, scale, course, drift_e, drift_n, onset, 
 def _drive(batch, seconds, drift=None, onset=np.inf, tau=1.0, false_alarms_per_h=0.01, turning_radps=0.0):
     """Drive vehicles of declared errors: scale, course, odometer noise of a correlation time, white RTK errors."""
     rng, epochs = np.random.default_rng(5), round(seconds / DT)
-    p = PositioningConfig().replace(rtk={"drift": {"false_alarms_per_h": false_alarms_per_h}})
+    p = PositioningConfig().replace(rtk={"drift": {"window_s": 16.0, "false_alarms_per_h": false_alarms_per_h}})
     rules = drift_parameters(p, DT)[0]
     decay, noise = math.exp(-DT / tau), np.zeros((batch, epochs))
     z, last = rng.standard_normal((batch, epochs)), rng.standard_normal(batch)

@@ -10,7 +10,9 @@ from lanebound.integrity.positioning.smoothing_kernel import HATCH, smooth
 
 def _run(code: np.ndarray, phase: np.ndarray, locked: np.ndarray, most: float, gate: float = 1e9) -> np.ndarray:
     hatch = np.zeros(1, HATCH)[0]
-    return np.array([smooth(c, p, bool(k), most, gate, hatch) for c, p, k in zip(code, phase, locked, strict=True)])
+    return np.array(
+        [smooth(c, p, bool(k), most, gate, 0.9, hatch) for c, p, k in zip(code, phase, locked, strict=True)]
+    )
 
 
 def test_it_is_the_recursion_of_hatch() -> None:

@@ -188,8 +188,8 @@ def _hidden(mask: SkyMask, azimuth_rad: float) -> SkyMask:
 
 
 def test_a_wall_before_the_satellite_hides_it_in_the_instruments() -> None:
-    config = NavigatorConfig(service="sbas_dfmc").replace(
-        gnss={"bands": [0, 2], "augmentation": {"geo_longitude_deg": [127.0]}}
+    config = NavigatorConfig(
+        service="sbas_dfmc", gnss={"bands": [0, 2], "augmentation": {"geo_longitude_deg": [127.0]}}
     )
     track = SkyTrack.from_config(config.sky, 60.0)
     azimuth = float(geostationary_view((127.0,), config.sky.place_rad, 1).azimuth_rad[0, 0])
