@@ -80,7 +80,8 @@ def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
 @jit(inline=True)
 def _separations_of(state: State, v: int, reckoning: int) -> Separations:
     """The separations (W,) of the LATEST or BACKUP dead reckoning."""
-    return separations_of(state.latest if reckoning == LATEST else state.backup, v)
+    found: Separations = separations_of(state.latest if reckoning == LATEST else state.backup, v)
+    return found
 
 
 @jit(borrows=True)
