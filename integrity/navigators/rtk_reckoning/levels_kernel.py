@@ -52,7 +52,7 @@ def later_by(since: float, memory: float, duration: float) -> float:
     return 1.0 + (since + 3.0 * memory) / duration if since < math.inf else 1.0
 
 
-@jit
+@jit(borrows=True)
 def find_levels(first: int, last: int, epoch: Epoch) -> None:
     """Stage 9: levels of the position as dead reckoning has moved it; inf where the odometer is doubted."""
     par, state, tables = epoch.parameters[0], epoch.state, epoch.tables
@@ -65,7 +65,7 @@ def find_levels(first: int, last: int, epoch: Epoch) -> None:
             levels_since_fix(latest, tables, par.risk, w.sin_h, w.cos_h, w.later, epoch.out.levels[v])
 
 
-@jit
+@jit(borrows=True)
 def levels_since_fix(
     reckoning: DeadReckoningState, tables: Tables, risk: Any, sin_h: float, cos_h: float, later: float, pl: Array
 ) -> None:
@@ -111,7 +111,7 @@ def levels_since_fix(
             pl[r, q] = level + sigma_bias[2 + q] + bow + risk.reference_bias
 
 
-@jit
+@jit(borrows=True)
 def restart(
     reckoning: DeadReckoningState, tables: Tables, risk: Any, vehicle: Any, fixed: Any, sin_h: float, cos_h: float,
     level: Array,
