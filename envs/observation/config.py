@@ -36,7 +36,7 @@ class ObservationConfig(Config):
     )
     speed_geometry: bool = Field(
         False,
-        description="SDOP has an entry; an environment sets it where navigator.positioning.mode.doppler_max_sdop is set",
+        description="SDOP has an entry; an environment sets it for navigator.positioning.mode.doppler_max_sdop",
     )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(

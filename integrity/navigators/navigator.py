@@ -37,8 +37,8 @@ from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
 from lanebound.integrity.sensors.area import initial_area
-from lanebound.integrity.sensors.chassis import ChassisConfig, initial_chassis, sample_chassis
 from lanebound.integrity.sensors.barometer import BarometerConfig, initial_barometer, sample_barometer
+from lanebound.integrity.sensors.chassis import ChassisConfig, initial_chassis, sample_chassis
 from lanebound.integrity.sensors.compass import CompassConfig, initial_compass, sample_compass
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.effects import FaultEffects

@@ -99,7 +99,7 @@ def receiver_variance(rules: Any, factor: float, white: float, lasting: float) -
 
 @jit(borrows=True)
 def multipath_time(rules: Any, speed: float, still: float) -> float:
-    """Longest correlation time of multipath at a speed [m/s] [s]: ``length / speed``, within those of motion and rest."""
+    """Longest correlation time of multipath at a speed: ``length / speed``, from that of motion to that at rest."""
     if not abs(speed) > still:
         return float(rules.rest_tau)
     return float(min(max(rules.moving_tau, rules.length / abs(speed)), rules.rest_tau))

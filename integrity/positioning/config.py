@@ -332,7 +332,7 @@ class ModeConfig(Config):
     doppler_max_sdop: float | None = Field(
         None,
         gt=0,
-        description="SDOP (1 sigma of the speed over that of one range rate at the zenith) for Doppler positioning [-]; "
+        description="SDOP for Doppler positioning, 1 sigma of the speed over that of one range rate at the zenith [-]; "
         "S1 section 6, S5 eq 5; none: no limit",
     )
     doppler_max_s: float = Field(60.0, gt=0, description="longest Doppler positioning without RTK [s]; S1 section 5")

@@ -127,7 +127,8 @@ def restart(
 
     Its initial error must keep what the protection level promised, biases and faults included: what the ``level``
     (R, 2) of a case holds beyond ``K sigma`` of the fault-free solution remains as a bound on E and N; along and across
-    the track where ``fixed.turned``, so that a straight drive leaves it as it is. The published form starts from the fault-free covariance alone, as S1 does.
+    the track where ``fixed.turned``, so that a straight drive leaves it as it is. The published form
+    starts from the fault-free covariance alone, as S1 does.
     """
     reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, reckoning.growth)
     if vehicle.separated:

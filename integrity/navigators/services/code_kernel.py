@@ -126,7 +126,7 @@ def fill_vehicle(
 
 @jit(borrows=True)
 def largest_mean(most: float, diverges: float, variance: float) -> float:
-    """Epochs in the mean of code less carrier: at most those after which the lag by the ionosphere is 1 sigma of a code.
+    """Epochs in the mean of code less carrier: at most those after which the ionosphere lags by 1 sigma.
 
     diverges : rate of code less carrier, 1 sigma [m/epoch]; variance of the code [m^2]
     """

@@ -108,13 +108,13 @@ class CouplingConfig(Config):
         0.7,
         gt=0,
         le=1,
-        description="level of a service over that of the coupled position, below which its position is taken whole [-]; "
+        description="level of a service over that of the coupled position, below which it is taken whole [-]; "
         "chosen: at 1 the mean would begin anew all the time",
     )
     fault_time_s: float = Field(
-        5.0,
+        10.0,
         gt=0,
-        description="mean time for which faults stay that no mode covers [s]; reflections: 10 to 20 m of facade; chosen",
+        description="mean time for which faults stay that no mode covers [s]; as multipath_tau_s: reflections",
     )
 
     def memory(self, interval_s: float) -> float:

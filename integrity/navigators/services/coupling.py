@@ -23,12 +23,14 @@ __all__ = [
     "LengthenStage",
     "SettleStage",
     "coupling_of",
+    "coupling_parameters",
     "coupling_rules",
     "initial_coupling",
     "proposals",
     "with_rules",
 ]
 
+UNCOVERED, MOST_SETS = 0.25, 400  # share of the risk; all pairs of 28 satellites
 LASTING, EXTRAS, PROPOSED = "coupling", "extra of coupling", "proposals of coupling"  # names of states
 
 
@@ -51,18 +53,32 @@ def coupling_rules(coupling: CouplingConfig, declared: CodeServiceConfig, dt_s: 
     )
 
 
+def coupling_parameters(parameters: Records, cases: Records, rules: Records) -> Records:
+    """PARAMETERS (1,) of a service, with doubt that leaves fewer sets of doubtful codes to no mode.
+
+    A mean remembers what no mode covers for longer than it stays: ``memory`` times its probability counts, and may be
+    half of the risk (:func:`~.coupling_kernel.fault_bound`).
+    """
+    own = parameters.copy()
+    own["rtk"]["doubt"]["sets"] = np.where(own["rtk"]["doubt"]["sets"] > 0, MOST_SETS, 0)
+    least = float(cases["budget"].sum(-1).min())
+    own["rtk"]["doubt"]["limit"] = np.minimum(own["rtk"]["doubt"]["limit"], UNCOVERED * least / rules["memory"])
+    return own
+
+
 def initial_coupling(batch: int, cases: int) -> dict[str, NDArray[Any]]:
     """What lasts of a coupling, by name."""
     return {LASTING: np.zeros(batch, COUPLED), EXTRAS: np.zeros((batch, cases), EXTRA)}
 
 
-def proposals(rules: Records, lasting: Mapping[str, Any], modes: int) -> Coupling:
+def proposals(rules: Records, parameters: Records, lasting: Mapping[str, Any], modes: int) -> Coupling:
     """A coupling of an epoch; ``modes`` is the width of the arrays of fault modes."""
     coupled, extra = lasting[LASTING], lasting[EXTRAS]
     batch, cases = extra.shape
     separations = Separations(*(np.zeros((batch, modes)) for _ in Separations._fields))
     return Coupling(
-        rules=rules, coupled=coupled, extra=extra, proposal=np.zeros(batch, np.int64), growth=np.zeros(batch, GROWTH),
+        rules=rules, parameters=parameters, coupled=coupled, extra=extra, proposal=np.zeros(batch, np.int64),
+        growth=np.zeros(batch, GROWTH),
         starts=np.zeros((batch, cases), START), separations=separations, after=np.zeros(batch, COUPLED),
         extra_after=np.zeros((batch, cases), EXTRA), by_doppler=np.zeros(batch, np.bool_),
         separated=np.zeros(batch, np.bool_),
@@ -75,9 +91,9 @@ def coupling_of(states: Mapping[str, Any]) -> Coupling:
     return found
 
 
-def with_rules(states: Mapping[str, Any], rules: Records) -> Coupling:
+def with_rules(states: Mapping[str, Any], rules: Records, parameters: Records) -> Coupling:
     """The same with the rules of one service."""
-    return coupling_of(states)._replace(rules=rules)
+    return coupling_of(states)._replace(rules=rules, parameters=parameters)
 
 
 @dataclass(frozen=True)

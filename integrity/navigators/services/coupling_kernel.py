@@ -12,9 +12,9 @@ its own, which stay Gauss-Markov and separated by fault mode: A acts on all of t
 - faults f of satellites and systems in any of the epochs that the position remembers. Mode i of prior p_i moves the
   position of one epoch by ``F_i`` with ``abs(F_i) <= abs(d_i) + abs(N)``, d_i the separation that is observed and N
   normal of its variance, so that ``Y = abs(F) - X`` with ``X = max_i (abs(d_i) + K_i sigma_di)`` has
-  ``E[Y+] <= sum_i p_i sigma_di 2 (phi(K_i) - K_i Q(K_i)) = r D``. With weights w of a sum of at most 1, Markov's inequality
-  gives ``P(sum w abs(F) > sum w (X + D)) <= r``, whatever the dependence of epochs: ``X + D`` adds up by its weights,
-  and the risk r does not.
+  ``E[Y+] <= sum_i p_i sigma_di 2 (phi(K_i) - K_i Q(K_i)) = r D``. With weights w of a sum of at most 1, Markov's
+  inequality gives ``P(sum w abs(F) > sum w (X + D)) <= r``, whatever the dependence of epochs: ``X + D`` adds up by its
+  weights, and the risk r does not.
 
 Time at rest brings nothing new, so it does not count between two samples, and below ``creep`` it counts less.
 """
@@ -239,6 +239,9 @@ def start_levels(v: int, r: int, epoch: Epoch, service_cases: Any, coupling: Cou
     case, w, after = epoch.tables.cases[r], epoch.work.vehicles[v], coupling.after[v]
     start, before, e = coupling.starts[v, r], epoch.state.starts[v, LATEST, r], coupling.extra_after[v, r]
     old, m = coupling.extra[v, r], np.empty((2, 2))
+    if not part.extra[r, 0] + part.extra[r, 1] + old.first + old.second < math.inf:
+        e.first, e.second, start.whole_first = math.inf, math.inf, math.inf
+        return
     start.axis_e, start.axis_n = before.axis_e, before.axis_n
     if abs(along_axes(w.sin_h, w.cos_h, before)[1]) > TURNED or before.axis_e == before.axis_n == 0.0:
         start.axis_e, start.axis_n = w.sin_h, w.cos_h

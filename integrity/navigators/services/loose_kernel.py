@@ -8,7 +8,6 @@ contradicts the one reckoned on is offered whole too: the jump monitor judges it
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +52,7 @@ def couple_fix(
 ) -> None:  # fmt: skip
     """Offer the position of tested ranges whole or coupled, or couple the ranges, where no service before has."""
     par, rules, how = service.parameters[0], service.rules[0], coupling.rules[0]
-    scratch = fixed_scratch(service.allowed.shape[0], par.rtk.doubt.sets)
+    scratch = fixed_scratch(service.allowed.shape[0], coupling.parameters[0].rtk.doubt.sets)
     levels, cases = np.empty((epoch.out.levels.shape[1], 2)), epoch.out.levels.shape[1]
     part = Part(np.empty(3), np.empty(3), np.empty((cases, 2)))
     for v in range(first, last):
@@ -64,8 +63,8 @@ def couple_fix(
             position_of(v, epoch, service, inputs, ranges, scratch, levels) if ranges.consistent[v] else (0, 0.0)
         )
         if used > 0:
-            describe(v, used, epoch, service, ranges, scratch, how.memory, part)
-            if is_whole(v, epoch, how.restart, scratch, levels):
+            describe(v, used, epoch, service, ranges, scratch, coupling, part)
+            if is_whole(v, epoch, how.restart, scratch, levels, part.extra[0], coupling):
                 if is_lower(levels, expected) or is_suspicious(vehicle.jump):
                     offer(w.fixed, scratch.geo.fix[0], used, ranges.excluded[v], hdop)
                     epoch.work.fixed_levels[v, :, :] = levels
@@ -84,10 +83,16 @@ def couple_fix(
 
 
 @jit
-def is_whole(v: int, epoch: Epoch, restart: float, scratch: FixedScratch, levels: Array) -> bool:
-    """Whether a position is not coupled: nothing is reckoned on, it contradicts that, or its level is much lower."""
+def is_whole(
+    v: int, epoch: Epoch, restart: float, scratch: FixedScratch, levels: Array, extra: Array,
+    coupling: Coupling,
+) -> bool:  # fmt: skip
+    """Whether a position is not coupled: nothing is reckoned on, its faults have no bound that lasts, it contradicts
+    what is reckoned on, or its level is much lower."""
     vehicle, w, expected = epoch.state.vehicles[v], epoch.work.vehicles[v], epoch.out.levels[v, 0]
-    if not vehicle.initialised or not bounded(expected) or is_suspicious(vehicle.jump):
+    if not vehicle.initialised or not bounded(expected) or not bounded(extra) or is_suspicious(vehicle.jump):
+        return True
+    if coupling.coupled[v].active and not coupling.extra[v, 0].first < math.inf:
         return True
     if not bounded(levels[0]):
         return False
@@ -95,16 +100,17 @@ def is_whole(v: int, epoch: Epoch, restart: float, scratch: FixedScratch, levels
     if found[0] ** 2 + found[1] ** 2 < square * (expected[0] ** 2 + expected[1] ** 2):
         return True
     east, north = reference_point(scratch.geo.fix[0], epoch.parameters[0].lever, w.sin_h, w.cos_h)
-    return contradicts(east - vehicle.position[0], north - vehicle.position[1], w.sin_h, w.cos_h, expected, found)
+    off_e, off_n = east - vehicle.position[0], north - vehicle.position[1]
+    return bool(contradicts(off_e, off_n, w.sin_h, w.cos_h, expected, found))
 
 
 @jit
 def describe(
-    v: int, used: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows, scratch: FixedScratch, memory: float,
-    part: Part,
+    v: int, used: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows, scratch: FixedScratch,
+    coupling: Coupling, part: Part,
 ) -> None:  # fmt: skip
     """Fast and slow covariance of the solved position of vehicle v, and bounds of its faults for each case."""
-    par, tables, w, geo = service.parameters[0], service.tables, epoch.work.vehicles[v], scratch.geo
+    par, tables, w, geo = coupling.parameters[0], service.tables, epoch.work.vehicles[v], scratch.geo
     fix, risk, modes, i = geo.fix[0], par.risk, scratch.modes, 0
     part.fast[:] = 0.0
     for s in range(service.allowed.shape[0]):
@@ -135,7 +141,7 @@ def describe(
             budget = tables.cases[r].budget[q]
             share = budget / (tables.cases[r].budget[0] + tables.cases[r].budget[1])
             part.extra[r, q] = constant + fault_bound(
-                count, prior, modes.separation[q], sigma, budget, share * (gone + apart), memory
+                count, prior, modes.separation[q], sigma, budget, share * (gone + apart), coupling.rules[0].memory
             )
 
 

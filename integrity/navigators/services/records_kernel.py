@@ -86,8 +86,9 @@ class ServiceState(NamedTuple):
 class ServiceRows(NamedTuple):
     """Corrected ranges of an epoch, work of one service after another.
 
-    y, variance, odds (B, S), and fast (B, S) the part of the variance by noise and multipath; used (B, S); due (B,) a position is to be found; consistent (B,) the fault test has
-    passed, with ``excluded`` (B,) ranges out of use; few (B,) too few ranges for it remain; offered (B,) as in ServiceLabels.
+    y, variance, odds (B, S), and fast (B, S) the part of the variance by noise and multipath; used (B, S); due (B,) a
+    position is to be found; consistent (B,) the fault test has passed, with ``excluded`` (B,) ranges out of use; few
+    (B,) too few ranges for it remain; offered (B,) as in ServiceLabels.
     """
 
     y: Array

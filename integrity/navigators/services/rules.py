@@ -49,14 +49,14 @@ def require_fitting_services(config: RtkReckoningConfig) -> None:
 
 
 def _require_coupling(config: RtkReckoningConfig, service: Service) -> None:
-    """Means over minutes are not averaged again, and a coupled position leaves a part of the risk to what it reckons."""
+    """Means over minutes are not averaged again, and noise keeps a share of the risk."""
     if config.services.coupling.kind == "none":
         return
     declared, path = declared_of(config, service), f"services.{service.name}"
     if declared.smoothing_s > LONGEST_COUPLED_S:
         raise ConfigError(
-            f"{path}.smoothing_s must be <= {LONGEST_COUPLED_S:g} with services.coupling, got {declared.smoothing_s:g}: "
-            "its codes are means of minutes already; set services.coupling none"
+            f"{path}.smoothing_s must be <= {LONGEST_COUPLED_S:g} with services.coupling, got "
+            f"{declared.smoothing_s:g}: its codes are means of minutes already; set services.coupling none"
         )
     if declared.risk_share is not None and not declared.risk_share <= LARGEST_SHARE:
         raise ConfigError(

@@ -21,6 +21,7 @@ from lanebound.integrity.navigators.services.coupling import (
     BeginCouplingStage,
     LengthenStage,
     SettleStage,
+    coupling_parameters,
     coupling_rules,
     initial_coupling,
     proposals,
@@ -39,7 +40,6 @@ from lanebound.integrity.navigators.services.records_kernel import (
 )
 from lanebound.integrity.navigators.services.table import Service, declared_of, service_named
 from lanebound.integrity.navigators.services.zenith_kernel import CARRIER_RULES, ZENITH, CarrierTables
-from lanebound.integrity.positioning.config import DoubtConfig
 from lanebound.integrity.positioning.smoothing_kernel import HATCH
 from lanebound.integrity.sky.systems import WAVELENGTH_M, System
 
@@ -52,7 +52,6 @@ __all__ = ["BeginStage", "FixStage", "LabelStage", "ServiceSet", "band_shares", 
 Array = NDArray[np.float64]
 
 INPUTS, RANGES = "inputs of services", "ranges of services"  # names of what the stages share
-UNCOVERED, MOST_SETS = 0.25, 200  # of the risk, for faults that no mode covers while a mean remembers them
 ZENITH_TAU_S = 1800.0  # of the troposphere, Joerger and Pervan 2016
 OFFERED, LATEST = "service offered", "service of the position"
 RECENT = 1.5  # intervals of a service for which its position, moved by Doppler, still counts as its own
@@ -86,7 +85,7 @@ def service_tables(config: RtkReckoningConfig, service: Service, system: NDArray
         more_levels=[
             case.replace(integrity_risk=share_of_risk * case.integrity_risk).to_dict() for case in config.more_levels
         ],
-        positioning={"rtk": {"doubt": doubt_of(config, declared).to_dict(), "reference_bias_m": 0.0}},
+        positioning={"rtk": {"doubt": declared.doubt.to_dict(), "reference_bias_m": 0.0}},
     )
     wavelength = np.ones((len(WAVELENGTH_M), 2))
     bands = list(config.gnss.bands)
@@ -111,15 +110,6 @@ def risk_share(config: RtkReckoningConfig, declared: CodeServiceConfig) -> float
     if declared.risk_share is not None:
         return declared.risk_share
     return 1.0 / (1.0 + sum(not service_named(name).fixes for name in config.service))
-
-
-def doubt_of(config: RtkReckoningConfig, declared: CodeServiceConfig) -> DoubtConfig:
-    """The odds of weak codes; a coupled position remembers the sets that no mode covers, so fewer may be left."""
-    coupling = config.services.coupling
-    if coupling.kind == "none":
-        return declared.doubt
-    share = min(declared.doubt.share, UNCOVERED / coupling.memory(max(declared.interval_s, config.dt_s)))
-    return declared.doubt.replace(share=share, sets=min(2 * declared.doubt.sets, MOST_SETS))
 
 
 def service_rules(declared: CodeServiceConfig, service: Service, config: RtkReckoningConfig) -> Records:
@@ -173,7 +163,7 @@ class FixStage(SeparateStage):
     name: str
     tables: ServiceTables
     carrier: Records
-    coupling: Records | None = None
+    coupling: tuple[Records, Records] | None = None
 
     def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
         state = ServiceState(states[f"hatch {self.name}"], states[f"since {self.name}"])
@@ -185,7 +175,7 @@ class FixStage(SeparateStage):
         if self.coupling is None:
             find_fix(first, last, epoch, self.tables, inputs, ranges)
         else:
-            coupling = with_rules(states, self.coupling)
+            coupling = with_rules(states, *self.coupling)
             couple_fix(first, last, epoch, self.tables, inputs, ranges, coupling)
 
 
@@ -255,8 +245,11 @@ class ServiceSet:
             for s in self._coded
         ]
 
-    def _rules_of(self, name: str) -> Records | None:
-        return coupling_rules(self._coupling, self._declared[name], self._dt) if self._coupling else None
+    def _rules_of(self, name: str) -> tuple[Records, Records] | None:
+        if self._coupling is None:
+            return None
+        rules = coupling_rules(self._coupling, self._declared[name], self._dt)
+        return rules, coupling_parameters(self._tables[name].parameters, self._tables[name].tables.cases, rules)
 
     def label(self) -> list[SeparateStage]:
         """The stage after the report."""
@@ -279,12 +272,12 @@ class ServiceSet:
         if not self.active:
             return states
         inputs = {service.name: self._inputs(service, m) for service in self._coded}
-        shared = {INPUTS: inputs, RANGES: self._ranges(states[OFFERED])}
+        shared: dict[str, Any] = {INPUTS: inputs, RANGES: self._ranges(states[OFFERED])}
         if self._coupling:
             first = self._coded[0].name
             rules, modes = self._rules_of(first), self._tables[first].tables.prior.size
             assert rules is not None
-            shared[PROPOSED] = proposals(rules, states, modes)
+            shared[PROPOSED] = proposals(*rules, states, modes)
         return {**states, **shared}
 
     def _ranges(self, offered: NDArray[np.int64]) -> ServiceRows:

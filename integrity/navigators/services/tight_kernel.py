@@ -1,10 +1,10 @@
 """Tight coupling: corrected ranges of any number correct the position reckoned on, one system's two at least.
 
 With the centred design rows g (the clock of each system eliminated), their weights w and the information of the
-position reckoned on, ``N = P^-1 + sum w g g'``, gains ``K_i = N^-1 w_i g_i`` and ``A = N^-1 P^-1``. P holds dead reckoning,
-fast errors as a white one, and slow errors twice, as ``Var(x + y) <= 2 Var(x) + 2 Var(y)``; 1 / w the same of a range. So
-N^-1 is above the variance of the solution whatever the correlation, and ``N_i^-1 - N^-1`` above that of its separation
-from the solution without mode i. There is a solution without any satellite: the position reckoned on.
+position reckoned on, ``N = P^-1 + sum w g g'``, gains ``K_i = N^-1 w_i g_i`` and ``A = N^-1 P^-1``. P holds dead
+reckoning, fast errors as a white one, and slow errors twice, as ``Var(x + y) <= 2 Var(x) + 2 Var(y)``; 1 / w the same
+of a range. So N^-1 is above the variance of the solution whatever the correlation, and ``N_i^-1 - N^-1`` above that of
+its separation from the solution without mode i. There is a solution without any satellite: the position reckoned on.
 
 The height is that of the barometer, or free.
 """
@@ -40,9 +40,9 @@ FREE_HEIGHT_M2 = 1e8  # variance of a height that nothing tells
 class Aided(NamedTuple):
     """Ranges of an epoch and the position that they correct; n ranges.
 
-    los (n, 3), group (n,), y (n,) less that of the predicted position, weight (n,); fast, slow (n,) variances; odds (n,);
-    prior (3, 3) information of the position reckoned on; inverse (3, 3) N^-1, shift (3,) and rows (n, 3) of the last
-    solution.
+    los (n, 3), group (n,), y (n,) less that of the predicted position, weight (n,); fast, slow (n,) variances; odds
+    (n,); prior (3, 3) information of the position reckoned on; inverse (3, 3) N^-1, shift (3,) and rows (n, 3) of the
+    last solution.
     """
 
     los: Array
@@ -73,7 +73,7 @@ def couple_ranges(
         return
     east, north = aided.shift[0], aided.shift[1]
     share_of_ranges(aided, inputs.height_variance[v], part, a)
-    bound_faults(v, epoch, service, coupling.rules[0].memory, aided, part)
+    bound_faults(v, epoch, service, coupling, aided, part)
     before = cost_of(v, epoch, coupling, a, part.fast, part.slow, part.extra[0], False)
     if not cost_of(v, epoch, coupling, a, part.fast, part.slow, part.extra[0], True) < before:
         return
@@ -209,9 +209,9 @@ def gain_of(i: int, aided: Aided) -> tuple[float, float]:
 
 
 @jit
-def bound_faults(v: int, epoch: Epoch, service: ServiceTables, memory: float, aided: Aided, part: Part) -> None:
+def bound_faults(v: int, epoch: Epoch, service: ServiceTables, coupling: Coupling, aided: Aided, part: Part) -> None:
     """Bounds of faults, lasting errors of codes, and the lever arm of the solution with all ranges, for each case."""
-    par, w, n = service.parameters[0], epoch.work.vehicles[v], aided.y.shape[0]
+    par, w, n, memory = coupling.parameters[0], epoch.work.vehicles[v], aided.y.shape[0], coupling.rules[0].memory
     sets = np.zeros((par.rtk.doubt.sets, LARGEST_SET), np.int64)
     several, gone = find_sets(aided.odds, n, par.rtk.doubt, sets)
     if several < 0:
