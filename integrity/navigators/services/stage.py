@@ -214,6 +214,10 @@ class ServiceSet:
         self._cases, self._dt = len(config.cases), config.dt_s
         self._coupling = config.services.coupling if self._coded and config.services.coupling.kind != "none" else None
         self._tables = {service.name: service_tables(config, service, system) for service in self._coded}
+        if self._coupling is not None:
+            for name, t in self._tables.items():
+                rules = coupling_rules(self._coupling, self._declared[name], self._dt)
+                self._tables[name] = t._replace(parameters=coupling_parameters(t.parameters, t.tables.cases, rules))
 
     @property
     def active(self) -> bool:
@@ -248,8 +252,7 @@ class ServiceSet:
     def _rules_of(self, name: str) -> tuple[Records, Records] | None:
         if self._coupling is None:
             return None
-        rules = coupling_rules(self._coupling, self._declared[name], self._dt)
-        return rules, coupling_parameters(self._tables[name].parameters, self._tables[name].tables.cases, rules)
+        return coupling_rules(self._coupling, self._declared[name], self._dt), self._tables[name].parameters
 
     def label(self) -> list[SeparateStage]:
         """The stage after the report."""
