@@ -296,6 +296,13 @@ def transform(a: Array, g: Any, s: Separations) -> None:
     g.cv_e, g.cv_n = xx * g.cv_e + xy * g.cv_n, yx * g.cv_e + yy * g.cv_n
     g.axle_e, g.axle_n = xx * g.axle_e + xy * g.axle_n, yx * g.axle_e + yy * g.axle_n
     g.box_e, g.box_n = abs(xx) * g.box_e + abs(xy) * g.box_n, abs(yx) * g.box_e + abs(yy) * g.box_n
+    g.run_e, g.run_n = abs(xx) * g.run_e + abs(xy) * g.run_n, abs(yx) * g.run_e + abs(yy) * g.run_n
+    e, n = g.bow_ss_e, g.bow_ss_n
+    g.bow_ss_e, g.bow_ss_n = abs(xx) * e + abs(xy) * n, abs(yx) * e + abs(yy) * n
+    e, n = g.bow_sb_e, g.bow_sb_n
+    g.bow_sb_e, g.bow_sb_n = abs(xx) * e + abs(xy) * n, abs(yx) * e + abs(yy) * n
+    e, n = g.bow_bb_e, g.bow_bb_n
+    g.bow_bb_e, g.bow_bb_n = abs(xx) * e + abs(xy) * n, abs(yx) * e + abs(yy) * n
     g.fh_e, g.fh_n = xx * g.fh_e + xy * g.fh_n, yx * g.fh_e + yy * g.fh_n
     g.fb_e, g.fb_n = xx * g.fb_e + xy * g.fb_n, yx * g.fb_e + yy * g.fb_n
     g.fs_e, g.fs_n = xx * g.fs_e + xy * g.fs_n, yx * g.fs_e + yy * g.fs_n

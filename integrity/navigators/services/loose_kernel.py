@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.monitoring.doubt_modes_kernel import add_doubts
 from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.monitoring.jump_kernel import bounded, contradicts, is_suspicious
 from lanebound.integrity.monitoring.protection_kernel import pair_risk
 from lanebound.integrity.monitoring.separation_kernel import find_modes, set_priors
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
     FixedScratch,
-    add_doubts,
     fixed_scratch,
     lever_bounds,
 )
@@ -128,7 +128,10 @@ def describe(
     gone = set_priors(scratch.group, used, count, risk.satellite_prior, risk.constellation_prior, geo.clocks, modes)
     apart = pair_risk(count, modes.prior) if risk.multiple else 0.0
     if par.rtk.doubt.sets > 0:
-        count, gone, apart = add_doubts(used, count, w.sin_h, w.cos_h, par, scratch)
+        count, gone, apart = add_doubts(
+            used, count, w.sin_h, w.cos_h, scratch.odds, scratch.group, par.rtk.doubt, scratch.sets, geo,
+            scratch.moments, modes,
+        )  # fmt: skip
     prior, sigma = np.empty(count), np.empty(count)
     lever_at, lever_ct = lever_bounds(epoch.state.vehicles[v], courses_of(epoch.state.courses, v), par)
     for q in range(2):
