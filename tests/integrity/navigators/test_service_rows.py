@@ -20,7 +20,8 @@ def _budget() -> np.record:
     """Code 1 m, ionosphere growing by 0.01 m^2/s, troposphere 0.2 m."""
     return one_record(
         CODE_ERRORS, noise=1.0, multipath=0.0, phase=0.1, knee=35.0, moving_tau=10.0, rest_tau=300.0, satellite=0.0,
-        satellite_growth=0.0, iono=0.0, iono_common=0.8, iono_growth=0.01, tropo=0.2,
+        satellite_growth=0.0, iono=0.0, iono_common=0.8, iono_growth=0.01, iono_rate=0.0,
+        length=20.0, tropo=0.2,
     ).view(np.recarray)[0]  # fmt: skip
 
 
