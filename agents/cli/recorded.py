@@ -30,7 +30,12 @@ FAR_M = 1000.0  # between the given position of a base and that of its header, w
 
 
 def replay(
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder: smartLoc, comma2k19, or a RINEX pair.")],
+    dataset: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DATASET", help="Folder: smartLoc, comma2k19, inertial log with a .pos, or a RINEX pair."
+        ),
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figures and for replay.json or rtk.json.")],
     service: Annotated[
         str | None,
@@ -52,7 +57,8 @@ def replay(
 ) -> None:
     """Replay a recorded drive: positions, protection levels, exclusions and alerts against the truth.
 
-    smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages. A RINEX pair:
+    smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages.
+    NAME.csv of an IMU with NAME.csv.tag and one .pos of RTKLIB: the same by gyros and accelerometers. A RINEX pair:
     RTK. Its files are told apart by their names (rover, base) or by which receiver moves. docs/navigation.md says where
     to get the recordings.
 
@@ -65,8 +71,9 @@ def replay(
     matching.kind=hidden_markov or map_errors.missing=0.1.
 
     Keys for --set, of smartLoc: every, first, training_share, solution.*, alerts.*; of comma2k19: every_s, longest_s,
-    heading_error_deg, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*, fde.*, risk.*; with
-    --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
+    heading_error_deg, bridge.*; of an inertial log: longest_s, every_s, rest_s, calibration_s, settle_s,
+    acceleration_bias_mps2, pitch_drift_degps, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*,
+    fde.*, risk.*; with --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
 
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
@@ -375,7 +382,14 @@ def _print_filter(found: dict[str, Any]) -> None:
     typer.echo(found["caution"])
 
 
+def _print_inertial(found: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+
+    print_table("The sensor in the vehicle", ("", "value"), list(found["calibration"].items()))
+    _print_outages(found)
+
+
 _PRINTERS = {
     "context": _print_context, "service": _print_service, "filter": _print_filter, "smartloc": _print_city,
-    "comma2k19": _print_outages, "rinex": _print_rtk,
+    "comma2k19": _print_outages, "imu_log": _print_inertial, "rinex": _print_rtk,
 }  # fmt: skip
