@@ -123,7 +123,7 @@ class MonitoredCodesConfig(NavigatorConfig):
 
 def with_context(data: Any) -> Any:
     """Data with ``monitor: {kind: context, ...}`` as those of its parts: weighted RAIM (S5 equations 1 to 4) for the
-    position, and the context monitor, which raises alerts."""
+    position, and the context monitor of codes, which raises alerts."""
     monitor = data.get("monitor") if isinstance(data, Mapping) else None
     monitor = {"kind": monitor} if monitor == CONTEXT else monitor
     if not isinstance(monitor, Mapping) or monitor.get("kind") != CONTEXT:
@@ -133,7 +133,9 @@ def with_context(data: Any) -> Any:
     given = data.get("context")
     given = given.to_dict() if isinstance(given, Config) else given
     return {
-        **data, "monitor": {**own, "kind": "weighted"}, "context": deep_merge({"alerts": True, **(given or {})}, more)
+        **data, "monitor": {**own, "kind": "weighted"}, "context": deep_merge(
+            {"alerts": True, "judges": "codes", **(given or {})}, more
+        ),
     }  # fmt: skip
 
 
@@ -156,6 +158,7 @@ class MonitoredCodesNavigator(Navigator):
     """See the module."""
 
     config: MonitoredCodesConfig
+    radial_levels = True
 
     def prepare(self) -> None:
         """Risks, their factors and the monitor."""
