@@ -471,6 +471,9 @@ class Navigator:
 def _hand_over(mine: Any, other: Any, rows: Rows, theirs: Rows) -> None:
     """Copy the rows of every array of a state, and of the states in it; clocks and streams stay."""
     if isinstance(other, np.ndarray):
+        if other.dtype.names is not None:  # as blocks of bytes: NumPy copies records field by field
+            block = np.dtype((np.void, other.dtype.itemsize))
+            mine, other = mine.view(block), other.view(block)
         mine[rows] = other[theirs]
         return
     parts = other if isinstance(other, dict) else other._asdict() if hasattr(other, "_asdict") else vars(other)

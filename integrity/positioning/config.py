@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 from scipy.special import chdtri, ndtri
 
 from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
@@ -119,7 +120,7 @@ class DriftWatchConfig(Config):
         0.0,
         ge=0,
         description="longest window over which RTK is compared with the path by gyro and odometer [s]; 0: off, 16 when "
-        "in use; a change of the odometer's scale cannot be told from a drift",
+        "in use; a fault of gyro or odometer cannot be told from a drift, and is likelier",
     )
     windows: int = Field(16, ge=2, le=64, description="windows of different lengths that are compared at once [-]")
     false_alarms_per_h: float = Field(
@@ -230,6 +231,15 @@ class RtkConfig(Config):
     drift: DriftWatchConfig = DriftWatchConfig()
     doubt: DoubtConfig = DoubtConfig()
     float_solution: FloatConfig = FloatConfig()
+
+    @model_validator(mode="after")
+    def _an_alarm_of_the_drift_watch_has_an_effect(self) -> RtkConfig:
+        if self.drift.window_s > 0.0 and self.jump_quarantine_s == 0.0:
+            raise ConfigError(
+                "jump_quarantine_s must be larger than 0 with the drift watch, got 0: without a quarantine its alarms "
+                "do nothing; set a time, or drift.window_s=0"
+            )
+        return self
 
 
 class DopplerConfig(Config):

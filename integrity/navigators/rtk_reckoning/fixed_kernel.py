@@ -38,6 +38,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
     MULTI_HYPOTHESIS,
     PUBLISHED,
     Array,
+    Bools,
     Epoch,
     Ints,
     Tables,
@@ -70,7 +71,9 @@ class FixedScratch(NamedTuple):
     """Scratch of the fixed solution; W columns.
 
     geo, moments, modes of its levels; los (W, 3), group (W,); variance for integrity, bias bound, measurement,
-    variance for accuracy and odds of a fault (W,) of the satellites in it; sets (D, LARGEST_SET) of them to monitor.
+    variance for accuracy and odds of a fault (W,) of the satellites in it; sets (D, LARGEST_SET) of them to monitor;
+    tried, air (W,) of all satellites: in use before the test, variance of what the bands have in common [m^2]; position
+    (3,) and covariance (3, 3) of the test; risk (1,), budget (1, 2) and level (1, 2) of a case.
     """
 
     geo: Geometry
@@ -84,6 +87,13 @@ class FixedScratch(NamedTuple):
     accuracy: Array
     odds: Array
     sets: Ints
+    tried: Bools
+    air: Array
+    position: Array
+    covariance: Array
+    risk: Array
+    budget: Array
+    level: Array
 
 
 @jit
@@ -93,6 +103,8 @@ def fixed_scratch(n: int, sets: int) -> FixedScratch:
     return FixedScratch(
         geometry_scratch(n), moment_scratch(n), mode_scratch(n, sets), np.zeros((w, 3)), np.zeros(w, dtype=np.int64),
         np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros((sets, LARGEST_SET), dtype=np.int64),
+        np.zeros(w, dtype=np.bool_), np.zeros(w), np.zeros(3), np.zeros((3, 3)), np.zeros(1), np.zeros((1, 2)),
+        np.zeros((1, 2)),
     )  # fmt: skip
 
 
@@ -147,15 +159,16 @@ def _solve_fixed(
     ``carriers.variance`` holds the variance factors, ``error`` (S, 2) the fault of the integers [cycles].
     """
     rules, rtk, fixed, factor, n_sat = par.rtk, vehicle.rtk, w.fixed, carriers.variance, rows.y.shape[0]
-    position, q, tried, air = np.empty(3), np.empty((3, 3)), rows.used.copy(), np.empty(n_sat)
+    tried, air = scratch.tried, scratch.air
     aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
     collapse_phase(carriers, ambiguities, rules.bands, rows.y)
     for s in range(n_sat):
+        tried[s] = rows.used[s]
         rows.y[s] -= range_of(error[s], carriers.satellites[s], rules.bands)
         air[s] = aged + atmosphere_variance(rows.los[s, 2], carriers.satellites[s], rules)
         rows.variance[s] = factor[s] * (rules.sigma_phase**2 / rules.bands) + air[s]
     outcome, _, _, _, fixed.excluded = detect_and_exclude(
-        rows, rows.group, vehicle.heading.angle, tables.thresholds, par.fde, position, q
+        rows, rows.group, vehicle.heading.angle, tables.thresholds, par.fde, scratch.position, scratch.covariance
     )
     if outcome == UNRESOLVED:
         rtk.rejected += 1
@@ -205,7 +218,7 @@ def levels_of_fix(
     """
     risk, cases, geo, group = par.risk, tables.cases, scratch.geo, scratch.group
     moments, modes = scratch.moments, scratch.modes
-    one, budget, found = np.empty(1), np.empty((1, 2)), np.empty((1, 2))
+    one, budget, found = scratch.risk, scratch.budget, scratch.level
     count, lost, apart = 0, 0.0, 0.0
     for form in range(3):
         filled = False
