@@ -31,6 +31,7 @@ __all__ = [
     "exceedance_rows",
     "mode_rows",
     "rate_by_street",
+    "trust_rows",
     "work_part",
 ]
 
@@ -39,6 +40,7 @@ AXES = ("along", "across")
 RESAMPLES, CONFIDENCE = 2000, 0.95
 SAMPLE_S = 1.0  # between the levels that medians are taken of
 NO_LEVEL_M = 1e4  # in place of a missing level, for medians
+NEAR_M = 7.0  # a trust level below it (S4 section III-E)
 
 
 class InTheLoopConfig(StreetDrivesConfig):
@@ -95,12 +97,16 @@ def work_part(config: InTheLoopConfig, name: str, advance: Advance = ignore) -> 
 
 
 class _Tally:
-    """Counts of a street by mode: epochs, exceedances by risk and axis, usable and misleading epochs."""
+    """Counts of a street by mode: epochs, exceedances by risk and axis, usable and misleading epochs.
+
+    Of the trust level of a filter: epochs with one, with a horizontal error beyond it, with one below NEAR_M.
+    """
 
     def __init__(self, config: InTheLoopConfig) -> None:
         modes, risks = max(Mode) + 1, len(config.risks)
         self.epochs, self.usable, self.misleading = np.zeros((3, modes), dtype=np.int64)
         self.exceed = np.zeros((modes, risks, 2), dtype=np.int64)
+        self.trust = np.zeros(3, dtype=np.int64)
 
     def count(self, moment: DriveMoment) -> None:
         """Add an epoch."""
@@ -110,6 +116,8 @@ class _Tally:
         np.add.at(self.exceed, s.mode, beyond[:, 1:])
         np.add.at(self.usable, s.mode, s.available & ~s.alert)
         np.add.at(self.misleading, s.mode, s.available & ~s.alert & beyond[:, 0].any(-1))
+        off, there = np.linalg.norm(moment.error_m, axis=-1), np.isfinite(s.trust_m) & np.isfinite(s.pl_at_m)
+        self.trust += [there.sum(), (there & (off > s.trust_m)).sum(), (there & (s.trust_m < NEAR_M)).sum()]
 
     def counts(self) -> dict[str, Any]:
         """The counts as plain data."""
@@ -118,6 +126,7 @@ class _Tally:
             "usable": self.usable.tolist(),
             "misleading": self.misleading.tolist(),
             "exceed": self.exceed.tolist(),
+            "trust": self.trust.tolist(),
         }
 
 
@@ -144,6 +153,11 @@ def _summary(config: InTheLoopConfig, streets: Sequence[Mapping[str, Any]]) -> d
             for r, risk in enumerate(config.risks)
         },
     }
+    with_trust, beyond, near = np.array([street["trust"] for street in streets]).T
+    if with_trust.any():
+        found["trust"] = rate_by_street(beyond, with_trust) | {
+            "epochs": int(with_trust.sum()), "below": float(near.sum() / with_trust.sum()),
+        }  # fmt: skip
     return found | {"modes": _modes(config, epochs, exceed, mode, along, across)}
 
 
@@ -215,3 +229,19 @@ def mode_rows(result: Mapping[str, Any]) -> Table:
             rows.append((sky, name, f"{100.0 * mode['share']:.1f} %", usable, misleading, *levels, *events))
     heads = "sky", "mode", "epochs", "usable", "misleading", "PL along", "PL across", "beyond along", "beyond across"
     return heads, rows
+
+
+def trust_rows(result: Mapping[str, Any]) -> Table:
+    """S4's horizontal trust level of filters: how often the horizontal error is beyond it; no row without one."""
+    rows: list[tuple[str, ...]] = [
+        (
+            sky,
+            f"{t['epochs']:,}",
+            f"{t['events']:,} ({t['rate']:.2g})",
+            str(t["streets"]),
+            f"{100.0 * t['below']:.1f} %",
+        )
+        for sky, found in result["skies"].items()
+        if (t := found.get("trust")) is not None
+    ]
+    return ("sky", "epochs with one", "errors beyond it (rate)", "in streets", f"below {NEAR_M:g} m"), rows

@@ -204,7 +204,13 @@ def signals(
 
 
 def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: bool) -> None:
-    from lanebound.agents.assess.in_the_loop import InTheLoopConfig, assess_in_the_loop, exceedance_rows, mode_rows
+    from lanebound.agents.assess.in_the_loop import (
+        InTheLoopConfig,
+        assess_in_the_loop,
+        exceedance_rows,
+        mode_rows,
+        trust_rows,
+    )
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
@@ -216,6 +222,9 @@ def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: 
         return
     print_table("In the loop: rate of errors beyond the level over the risk, 95 % by street", *exceedance_rows(result))
     print_table(f"Modes, median levels and epochs beyond at {config.risks[0]:g}", *mode_rows(result))
+    heads, trusted = trust_rows(result)
+    if trusted:
+        print_table("Horizontal trust level, 6 sigma of the longer axis (S4 section II-F)", heads, trusted)
     typer.echo(f"A rate over the risk above 1 breaks the promise.\nresults.json: {out}")
 
 

@@ -54,13 +54,16 @@ def drive(
     fps: Fps = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for {LOG}, {COLUMNS} and {DIAGRAM}.")] = None,
     display: Annotated[
-        bool, typer.Option("--display", help=f"Monitor codes, speed and road; a light in the film, {WARNINGS} in DIR.")
+        bool,
+        typer.Option("--display", help=f"Monitor position, speed, road; a light in the film, {WARNINGS} in DIR."),
     ] = False,
     assignments: Assignments = None,
     _plugins: Plugins = None,
     as_json: AsJson = False,
 ) -> None:
     """Drive with an agent, and print return, costs and the quality of its position.
+
+    With a context monitor (--display, or navigator.context among --set) DIR has a log of its warnings.
 
     Example: lanebound drive LaneKeeping --sky dense --faults stress --seed 1 --video out/drive.mp4 --out out/drive
     """
@@ -79,7 +82,7 @@ def drive(
         drove = with_bar("episodes", lambda report: _drive(name, agent, changed, seeds, film, out, finished, report,
                                                            display))  # fmt: skip
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
-    files["warnings"] = out / WARNINGS if display and out else None
+    files["warnings"] = out / WARNINGS if out and (out / WARNINGS).is_file() else None
     print_report(f"{agent} in {name}", *drove, files, as_json)
 
 
@@ -154,8 +157,8 @@ def _drive(
         _claim(out)
     length_s = float(env.world.config.get("duration") or math.inf)
     watchers: list[Any] = [log, EpisodeProgress(Counter(on_progress, RunProgress(len(seeds))), length_s)]
-    shown: Any = DriverDisplay(env) if display else None
-    watchers += [shown] if display else []
+    shown: Any = DriverDisplay(env) if env.config.observation.context else None
+    watchers += [shown] if shown is not None else []
 
     def keep(episode: int) -> None:
         if out is not None:
@@ -165,9 +168,9 @@ def _drive(
     with ExitStack() as stack:
         stack.callback(env.close)
         if film[0] is not None:
-            watchers.append(stack.enter_context(Film(shown or env, film[0], film[1])))
+            watchers.append(stack.enter_context(Film(shown if display else env, film[0], film[1])))
         drive_all(env, driver, list(seeds), watchers, keep)
-    if display:
+    if shown is not None:
         _tell(shown, out)
     if out is not None:
         driven = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
@@ -186,7 +189,7 @@ def _tell(shown: DriverDisplay, out: Path | None) -> None:
     if out is not None:
         shown.write(out / WARNINGS)
     lit = ", ".join(f"{light} {seconds:.0f} s" for light, seconds in shown.seconds.items())
-    typer.echo(f"display: {lit}; it changed {counted(shown.changes, 'time')}", err=True)
+    typer.echo(f"light: {lit}; it changed {counted(shown.changes, 'time')}", err=True)
 
 
 def _claim(out: Path) -> None:
@@ -195,6 +198,7 @@ def _claim(out: Path) -> None:
 
     ResultFolder(out, "drive").claim()
     (out / COLUMNS).write_text(describe_columns(), encoding="utf-8")
+    (out / WARNINGS).unlink(missing_ok=True)  # of a drive before
 
 
 class EpisodeProgress:

@@ -59,12 +59,13 @@ def filters(
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """The trials of S4: EKF, UKF, IMM and dead reckoning through outages, spurious positions and sharp turns.
+    """The trials of S4: EKF, UKF, IMM and dead reckoning through outages, spurious positions, sharp turns and faults.
 
     Example: lanebound reproduce filters --out out/filters --seeds 10
     """
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.reproduce.filter_faults import fault_rows
     from lanebound.agents.reproduce.filters import FiltersConfig, run_filters, table_rows
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
@@ -75,6 +76,8 @@ def filters(
         return
     heads = "trial", "figure", "paper", "ours", "5 .. 95 %"
     print_table(f"S4 against ours: medians over {result['seeds']} drives [m]", heads, table_rows(result))
+    if result["faults"]:
+        print_table("Spurious positions: with S4's gate and without", *fault_rows(result))
     typer.echo(f"tables.json and figures: {out}")
 
 
@@ -152,6 +155,7 @@ def context(
         return
     print_table("Overall correct detection rate; medians over drives, 5 to 95 %", *made.ocdr_rows(tables))
     print_table("By what the receiver uses and declares", *made.assumption_rows(tables))
+    print_table("Why the driver is warned, shares of all points", *made.reason_rows(tables))
     print_table("What each phase adds, and naive rules", *made.rule_rows(tables))
     print_table("Matchers, with the true map and with one that has errors", *made.matcher_rows(tables))
     print_table("Speed phase: windows warned of", *made.speed_rows(tables))

@@ -15,7 +15,14 @@ if TYPE_CHECKING:
 
 __all__ = ["save_figures"]
 
-COLOURS = {"DR": "#8a8f98", "IMM-EKF": "#1b6ca8", "EKF": "#1b6ca8", "UKF": "#c2571a", "SM-EKF": "#c2571a"}
+COLOURS = {
+    "DR": "#8a8f98",
+    "IMM-EKF": "#1b6ca8",
+    "IMM-EKF as S4": "#c2571a",
+    "EKF": "#1b6ca8",
+    "UKF": "#c2571a",
+    "SM-EKF": "#c2571a",
+}
 SHADE = "#e8e8ea"
 
 

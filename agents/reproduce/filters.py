@@ -14,6 +14,7 @@ from scipy.stats import wilcoxon
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.reproduce.filter_faults import FAULTS, work_fault
 from lanebound.agents.reproduce.filter_figures import save_figures
 from lanebound.agents.reproduce.filter_scenarios import EQUIPMENT, SCENARIOS, Scenario, disturbed
 from lanebound.integrity.core.config import Config, Field, deep_merge
@@ -27,7 +28,8 @@ from lanebound.integrity.sensors.instruments import Measurements
 __all__ = ["FiltersConfig", "run_filters", "table_rows"]
 
 Array = NDArray[np.float64]
-PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce")
+PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce", "lanebound.agents.assess")
+FAULT = "fault "  # begins the names of parts with a fault
 EVERY = 10  # epochs between the moments kept for figures
 
 
@@ -37,6 +39,7 @@ class FiltersConfig(Config):
     seeds: int = Field(100, ge=1, le=2000, description="drives of each trial [-]")
     first_seed: int = Field(1, ge=0, description="of the drives")
     scenarios: tuple[str, ...] = Field(tuple(SCENARIOS), min_length=1, description="numbers of S4's table I")
+    vehicles: int = Field(40, ge=0, le=2000, description="vehicles that meet each fault; 0: no faults [-]")
 
 
 def run_filters(config: FiltersConfig, out: Path, on_progress: OnProgress = ignore) -> dict[str, Any]:
@@ -48,16 +51,21 @@ def run_filters(config: FiltersConfig, out: Path, on_progress: OnProgress = igno
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
     ResultFolder(out, "filter study", config.to_dict(), code_digest(*PACKAGES)).claim()
-    found = run_parts(out, list(config.scenarios), partial(work_part, config), 1, on_progress)
-    tables = {number: {key: value for key, value in part.items() if key != "series"} for number, part in found.items()}
-    result = {"seeds": config.seeds, "scenarios": tables}
+    faults = [FAULT + name for name in FAULTS] if config.vehicles else []
+    found = run_parts(out, [*config.scenarios, *faults], partial(work_part, config), 1, on_progress)
+    trials = {number: found[number] for number in config.scenarios}
+    tables = {number: {key: value for key, value in part.items() if key != "series"} for number, part in trials.items()}
+    met = {name.removeprefix(FAULT): found[name] for name in faults}
+    result = {"seeds": config.seeds, "scenarios": tables, "faults": met}
     write_json(out / "tables.json", result)
-    save_figures(found, out)
+    save_figures(trials, out)
     return result
 
 
 def work_part(config: FiltersConfig, number: str, advance: Advance = ignore) -> dict[str, Any]:
-    """One trial: all drives side by side."""
+    """One trial: all drives side by side; or one fault."""
+    if number.startswith(FAULT):
+        return work_fault(number.removeprefix(FAULT), config.vehicles, config.first_seed, advance)
     scenario = SCENARIOS[number]
     trial = _Trial(config, scenario)
     epochs = round(scenario.length_s / trial.dt_s)
@@ -138,11 +146,15 @@ class _Trial:
         out = ~np.array(self.quality)
         error = {name: np.array(rows) for name, rows in self.error.items()}
         figures: dict[str, Any] = {}
+        ended = [round(end / self.dt_s) - 1 for _, end in self.scenario.outages_s if end < len(out) * self.dt_s]
         for name, e in error.items():
             figures[f"rms {name}"] = _spread(np.sqrt(np.square(e).mean(0)))
             figures[f"max {name}"] = _spread(e.max(0))
             if out.any():
                 figures[f"rms in outage {name}"] = _spread(np.sqrt(np.square(e[out]).mean(0)))
+                figures[f"max in outage {name}"] = _spread(e[out].max(0))
+            if ended:
+                figures[f"error at the end of the first outage {name}"] = _spread(e[ended[0]])
         for name, rows in self.trust.items():
             htl = np.array(rows)
             figures[f"HTL exceeded {name}"] = float(self.beyond[name][0] / htl.size)
@@ -151,7 +163,7 @@ class _Trial:
         figures["HTL median"] = _spread(np.median(htl, axis=0))
         figures["HTL below 7 m"] = _spread((htl < 7.0).mean(0))
         names = list(self.navigators)
-        if len(names) == 2:
+        if self.scenario.compared:
             rms = [np.sqrt(np.square(error[name]).mean(0)) for name in names]
             figures["rms gained"] = _spread(rms[0] - rms[1])
             figures["paired p"] = float(wilcoxon(rms[0], rms[1]).pvalue) if rms[0].size > 5 else None

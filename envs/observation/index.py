@@ -161,7 +161,8 @@ def _levels(c: ObservationConfig) -> list[Entry]:
         g.flag("available", "no protection level exceeds its alert limit", "view.available"),
         g.flag("alert", "the alert is on", "view.alert"),
         g.positive("alert_age", "s", most, "time since the start of the alert; 0 without an alert", "view.alert_age_s"),
-        *(g.flag(f"reason_{r.name.lower()}", r.value, f"view.reason == {r.code}") for r in AlertReason),
+        *(g.flag(f"reason_{r.name.lower()}", r.value, f"view.reason == {r.code}") for r in AlertReason
+          if r is not AlertReason.CONTEXT_WARNING or c.context),
         *(g.flag(f"mode_{m.key}", f"source of the position: {m.label}", f"belief.mode == {int(m)}")
           for m in Mode if not m.is_service or m.key in c.services),
         *(g.flag(f"rtk_{r.name.lower()}", r.value, f"belief.rtk == {r.code}") for r in RtkStatus),

@@ -153,8 +153,13 @@ class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
 
 
 def _comes_towards(vehicle: Vehicle, other: Vehicle) -> bool:
-    """Whether a vehicle on an exit of the crossing meets the other head on; all others on the exit drive as it does."""
-    return bool(vehicle.lane_index[1].startswith("o") and np.cos(vehicle.heading - other.heading) < 0.0)
+    """Whether a vehicle on an exit of the crossing meets one on the approach of the same arm, head on.
+
+    One that still turns into the exit may also face it for a while, and is followed: its lane is no approach.
+    """
+    node = vehicle.lane_index[1]
+    approaching = node.startswith("o") and other.lane_index is not None and other.lane_index[0] == node
+    return bool(approaching and np.cos(vehicle.heading - other.heading) < 0.0)
 
 
 def _stop_at_rest(vehicle: IDMVehicle, dt: float) -> None:

@@ -168,6 +168,8 @@ def _remedy(problem: Mapping[str, Any], field: FieldInfo | None, before: Any) ->
         return "write the number without quotes" if _is_number(value) else "give a number"
     if kind in LISTS and isinstance(value, int | float | str):
         return f"write [{value}]"
+    if kind in MAPPINGS:
+        return "write keys and values"
     if kind in ("enum", "literal_error"):
         words = str(problem["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
         advice = nearest(str(value), words)

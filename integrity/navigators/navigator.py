@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from enum import Enum
 from functools import lru_cache
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ from lanebound.integrity.monitoring.exclusion import FdeConfig
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.motion.truth_kernel import all_finite
-from lanebound.integrity.navigators.context_guard import ContextGuard, ContextGuardConfig, GuardState
+from lanebound.integrity.navigators.context_guard import ContextGuard, ContextGuardConfig, GuardState, Judged
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.config import PositioningConfig
 from lanebound.integrity.positioning.map_matching.road_map import RoadMap
@@ -121,7 +121,7 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
     )
     alert: AlertConfig = AlertConfig()
     context: ContextGuardConfig | None = Field(
-        None, description="context-aware monitor of code positions, Doppler speed and road beside this navigator"
+        None, description="context-aware monitor of position, Doppler speed and road beside this navigator"
     )
 
     @model_validator(mode="after")
@@ -140,8 +140,9 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
 
     @property
     def simulated(self) -> GnssConfig:
-        """``receiver``, with the undifferenced codes that the context monitor needs."""
-        return self.receiver if self.context is None else self.receiver.replace(undifferenced=True)
+        """``receiver``, with the undifferenced codes that a context monitor of code positions needs."""
+        codes = self.context is not None and self.context.judges is Judged.CODES
+        return self.receiver.replace(undifferenced=True) if codes else self.receiver
 
     @property
     def cases(self) -> tuple[PlCase, ...]:
@@ -221,7 +222,13 @@ class Navigator:
     ------
     InputError
         When the seeds are negative or do not fit ``batch``.
+
+    Attributes
+    ----------
+    radial_levels : each of the two levels of this kind bounds the whole horizontal error
     """
+
+    radial_levels: ClassVar[bool] = False
 
     def __new__(cls, config: NavigatorConfig | None = None, *rest: Any, **more: Any) -> Self:
         """An object of the class of the configuration's kind."""
@@ -310,7 +317,7 @@ class Navigator:
         ``one_in``: only every so manieth vehicle is monitored, beginning with the first.
         """
         if self.config.context is not None:
-            self._guard = ContextGuard(self.config.context, road_map, self.config.dt_s, one_in)
+            self._guard = ContextGuard(self.config.context, road_map, self.config.dt_s, one_in, self.radial_levels)
             self.state.guard = self._guard.initial(self.batch)
 
     @property
@@ -464,6 +471,9 @@ class Navigator:
 def _hand_over(mine: Any, other: Any, rows: Rows, theirs: Rows) -> None:
     """Copy the rows of every array of a state, and of the states in it; clocks and streams stay."""
     if isinstance(other, np.ndarray):
+        if other.dtype.names is not None:  # as blocks of bytes: NumPy copies records field by field
+            block = np.dtype((np.void, other.dtype.itemsize))
+            mine, other = mine.view(block), other.view(block)
         mine[rows] = other[theirs]
         return
     parts = other if isinstance(other, dict) else other._asdict() if hasattr(other, "_asdict") else vars(other)

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 from scipy.special import chdtri, ndtri
 
 from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
@@ -27,6 +28,7 @@ from lanebound.integrity.positioning.rtk_kernel import FILTER_RULES, MOST_AMBIGU
 from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES
 
 __all__ = [
+    "CODE_DOUBT",
     "CorrelationBound",
     "DeadReckoningConfig",
     "DopplerConfig",
@@ -40,6 +42,7 @@ __all__ = [
     "RtkConfig",
     "bound_correlation",
     "calibration_parameters",
+    "doubt_parameters",
     "drift_parameters",
     "mode_parameters",
     "overbounding_walk",
@@ -75,6 +78,10 @@ class DoubtConfig(Config):
     share: float = Field(
         0.1, gt=0, lt=1, description="largest probability of sets not monitored as a share of the integrity risk [-]"
     )
+
+
+CODE_DOUBT = DoubtConfig(sets=100, odds=0.17, centre_db=4.8, scale_db=0.55, confirm_from=0.01)
+"""Odds that an L1 code is off by more than six sigma, fitted to simulated streets (suburban, urban, dense; seed 101)"""
 
 
 class FloatConfig(Config):
@@ -113,7 +120,7 @@ class DriftWatchConfig(Config):
         0.0,
         ge=0,
         description="longest window over which RTK is compared with the path by gyro and odometer [s]; 0: off, 16 when "
-        "in use; a change of the odometer's scale cannot be told from a drift",
+        "in use; a fault of gyro or odometer cannot be told from a drift, and is likelier",
     )
     windows: int = Field(16, ge=2, le=64, description="windows of different lengths that are compared at once [-]")
     false_alarms_per_h: float = Field(
@@ -224,6 +231,15 @@ class RtkConfig(Config):
     drift: DriftWatchConfig = DriftWatchConfig()
     doubt: DoubtConfig = DoubtConfig()
     float_solution: FloatConfig = FloatConfig()
+
+    @model_validator(mode="after")
+    def _an_alarm_of_the_drift_watch_has_an_effect(self) -> RtkConfig:
+        if self.drift.window_s > 0.0 and self.jump_quarantine_s == 0.0:
+            raise ConfigError(
+                "jump_quarantine_s must be larger than 0 with the drift watch, got 0: without a quarantine its alarms "
+                "do nothing; set a time, or drift.window_s=0"
+            )
+        return self
 
 
 class DopplerConfig(Config):
@@ -438,17 +454,7 @@ def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Recor
         min_further=config.min_further,
         hold_failures=config.hold_failures,
         retry=config.retry_s,
-        doubt=one_record(
-            DOUBT_RULES,
-            sets=config.doubt.sets,
-            zenith=config.doubt.zenith_dbhz,
-            horizon=config.doubt.horizon_dbhz,
-            most=config.doubt.odds,
-            centre=config.doubt.centre_db,
-            scale=config.doubt.scale_db,
-            limit=config.doubt.share * smallest_risk,
-            single=config.doubt.confirm_from,
-        ),
+        doubt=doubt_parameters(config.doubt, smallest_risk),
         filter=one_record(
             FILTER_RULES,
             sequential=config.float_solution.kind == "sequential",
@@ -459,6 +465,21 @@ def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Recor
             ionosphere=config.float_solution.ionosphere_m,
             troposphere=config.float_solution.troposphere_m,
         ),
+    )
+
+
+def doubt_parameters(config: DoubtConfig, smallest_risk: float) -> Records:
+    """DOUBT_RULES (1,) of :mod:`.doubtful_kernel`; ``smallest_risk`` is that of the strictest level."""
+    return one_record(
+        DOUBT_RULES,
+        sets=config.sets,
+        zenith=config.zenith_dbhz,
+        horizon=config.horizon_dbhz,
+        most=config.odds,
+        centre=config.centre_db,
+        scale=config.scale_db,
+        limit=config.share * smallest_risk,
+        single=config.confirm_from,
     )
 
 

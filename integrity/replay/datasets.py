@@ -49,6 +49,7 @@ def replay_folder(
     progress: Progress = silent,
     service: Sequence[str] = (),
     navigator: str | None = None,
+    roads: Path | None = None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a data set; returns the statistics and the files written into ``out``.
 
@@ -59,7 +60,8 @@ def replay_folder(
     :class:`~.outages.OutageConfig`, :class:`~.imu_outages.ImuOutageConfig` or :class:`~.baseline.BaselineConfig`.
     ``progress`` is called with the number of solved epochs and the total number. ``navigator`` names a filter, by kind
     or preset, in place of the method of the kind of data set; ``changes`` are then those of
-    :class:`~.filter_drive.FilterReplayConfig`.
+    :class:`~.filter_drive.FilterReplayConfig`. With ``roads``, a map as GeoJSON, the context monitor judges the drive;
+    ``changes`` are of :class:`~.context_epochs.ContextReplayConfig`.
 
     Raises
     ------
@@ -67,10 +69,14 @@ def replay_folder(
         The folder is of no known kind, or a file or a change is invalid.
     """
     kind, changed = kind_of(folder), dict(changes or {})
-    if kind == "imu_log" and (service or navigator is not None):
-        option = "service" if service else "navigator"
+    if kind == "imu_log" and (service or navigator is not None or roads is not None):
+        option = "service" if service else "roads" if navigator is None else "navigator"
         raise InputError(f"{option} must be left out for an inertial log, which has neither codes nor wheels, "
-                         f"got {navigator or ', '.join(service)}: replay it alone")  # fmt: skip
+                         f"got {navigator or roads or ', '.join(service)}: replay it alone")  # fmt: skip
+    if roads is not None:
+        from lanebound.integrity.replay.context_report import write_context
+
+        return write_context(folder, kind, roads, out, changed, progress)
     if service:
         from lanebound.integrity.replay.service_report import write_service
 

@@ -1,8 +1,8 @@
 """Error of an accelerometer after switch-on, ``e(t) = C1 (1 - exp(-t / tau)) + C2`` (S4 section II-C5), and its fit.
 
 S4 prints C1 -0.0043 m/s^2, C2 -0.007 m/s^2 and tau 500 s, and states that the position drifted by 55 m in 60 s without
-correction and by 0.7 m with it. The law with these figures gives 12.9 m in 60 s from switch-on (18.7 m once it has
-settled, mean error 11.3 mm/s^2), so that the 55 m have another cause or begin at another speed. Both are stated.
+correction and by 0.7 m with it. The law with these figures gives 12.9 m in 60 s from switch-on (20.3 m once it has
+settled, error 11.3 mm/s^2), so that the 55 m have another cause or begin at another speed. Both are stated.
 """
 
 from __future__ import annotations

@@ -8,30 +8,38 @@ import pytest
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
-from lanebound.agents.reproduce import filter_scenarios, filters
+from lanebound.agents.reproduce import filter_faults, filter_scenarios, filters
 from lanebound.integrity.sensors.inertial_law import PUBLISHED
 
 
 @pytest.fixture
 def short(monkeypatch):
-    """Scenario 6 cut to some seconds, with an outage and a spurious position in them."""
+    """Scenario 6 cut to some seconds, with an outage and a spurious position in them, and a fault cut to some."""
     trial = replace(
         filter_scenarios.SCENARIOS["6"], length_s=9.0, outages_s=((5.0, 8.0),), spurious_s=((3.0, 5.0),), shift_m=60.0
     )
     monkeypatch.setitem(filter_scenarios.SCENARIOS, "6", trial)
+    kind = "spoofing, step of 25 m"
+    monkeypatch.setattr(filters, "FAULTS", {kind: filter_faults.FAULTS[kind]})
+    for name, value in (("WARM_UP_S", 4.0), ("FAULT_S", 6.0), ("AFTER_S", 1.0)):
+        monkeypatch.setattr(filter_faults, name, value)
 
 
 def test_a_trial_writes_its_table_and_figures(short, tmp_path):
     out = tmp_path / "filters"
-    done = CliRunner().invoke(
-        app, ["reproduce", "filters", "--out", str(out), "--seeds", "2", "--set", 'scenarios=["6"]', "--json"]
-    )
+    changed = ("--set", 'scenarios=["6"]', "--set", "vehicles=2")
+    done = CliRunner().invoke(app, ["reproduce", "filters", "--out", str(out), "--seeds", "2", *changed, "--json"])
     assert done.exit_code == 0, done.output
     found = json.loads((out / "tables.json").read_text())["scenarios"]["6"]["figures"]
     low, middle, high = found["max IMM-EKF"]
     assert 0.0 < low <= middle <= high < 15.0
     assert found["max DR"][1] > 30.0  # it takes the spurious position
     assert found["HTL exceeded IMM-EKF"] == 0.0
+    fault = json.loads((out / "tables.json").read_text())["faults"]["spoofing, step of 25 m"]["filters"]
+    assert fault["gate"]["rejected"] > 0.8
+    assert fault["no gate, no memory"]["rejected"] == 0.0
+    assert fault["no gate, no memory"]["worst_m"][1] > 4.0 * fault["gate"]["worst_m"][1]
+    assert fault["gate"]["beyond_level"] == 0.0
     assert {path.name for path in out.glob("*.png")} == {f"scenario-6-{n}.png" for n in ("errors", "path", "integrity")}
     rows = filters.table_rows(json.loads((out / "tables.json").read_text()))
     assert rows[[r[1] for r in rows].index("max IMM-EKF")][:3] == ("6", "max IMM-EKF", "15")

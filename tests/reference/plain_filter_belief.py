@@ -21,7 +21,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-BIASES = 4  # bounded constant errors: GNSS East, GNSS North, course, speed
+BIASES = 5  # bounded constant errors: GNSS East, GNSS North, course, speed, speed at rest
 COMMON = 2  # slow errors common to all satellites: ionosphere, troposphere
 
 

@@ -15,8 +15,10 @@ from plain_multiple_models import combine
 from plain_vehicle_models import MotionInput
 
 from lanebound.integrity.core.frames import wrap_angle
+from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
+from lanebound.integrity.navigators.vehicle_filter.parameters import filter_parameters
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import BIASES, FilterState
 from lanebound.integrity.positioning.filters.code_position import locate_by_codes
 from lanebound.integrity.positioning.filters.vehicle_models import S
@@ -68,12 +70,16 @@ def locate(c: FilterConfig, b: FilterBelief, m: Measurements, bounds: Array) -> 
             nis[:, MOTION] = outcome.nis
     b.fix_age_s, b.moved_m = b.fix_age_s + c.dt_s, b.moved_m + np.abs(m.odometer.distance_m)
     p = c.position
-    due = fix.valid & b.known & (b.fix_age_s >= p.interval_s - 1e-9) & (b.moved_m >= p.least_move_m)
+    resting = b.moved_m < p.least_move_m
+    interval = np.where(resting, max(p.interval_s, p.rest_interval_s), p.interval_s)
+    due = fix.valid & b.known & (b.fix_age_s >= interval - 1e-9)
     if due.any():
         if c.sensor_errors:
             take_slow_error(b, fix, due, p.slow_tau_s)
+        par = filter_parameters(c)[0]
+        lasting = np.where(resting, par["rest_factor"], par["fast_factor"])
         heading = (b.probability * b.x[..., S.HEADING]).sum(-1)
-        observation = _grown(c, b, seen.gnss_position(c, fix, heading, due))
+        observation = _grown(c, b, seen.gnss_position(c, fix, heading, due, lasting))
         nis[:, GNSS] = steps.observe(b, observation, likelihood, c.gate.enabled).nis
         b.fix_age_s, b.moved_m = np.where(due, 0.0, b.fix_age_s), np.where(due, 0.0, b.moved_m)
     steps.conclude(b, predicted, likelihood)
@@ -97,4 +103,8 @@ def _levels(c: FilterConfig, b: FilterBelief, bounds: Array, nis: Array) -> Plai
         with_slow_errors(b.p[..., :2, :2], b.influence[:, :, :2, BIASES:]), b.influence[:, :, :2, :BIASES],
     )  # fmt: skip
     heading = np.asarray(wrap_angle(x[:, S.HEADING]))
-    return PlainSolution(x[:, :2], covariance_levels(c.cases, c.risk, models, bounds, heading, trust), trust, nis)
+    levels = covariance_levels(c.cases, c.risk, models, bounds, heading, trust)
+    if c.position.excess_tau_s > 0.0:
+        exact = np.array([case.variant is not Variant.PUBLISHED for case in c.cases])[None, :, None]
+        levels = levels * np.where(exact, np.sqrt(np.maximum(b.excess, 1.0))[:, None, None], 1.0)
+    return PlainSolution(x[:, :2], levels, trust, nis)

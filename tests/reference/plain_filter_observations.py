@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 HEADING_NOISE_RAD = 1e-5  # of the integrated gyro beside its random walk, rounding
 REST_SIGMA_MPS = 0.02
-GNSS_EAST_BIAS, GNSS_NORTH_BIAS, COURSE_BIAS, SPEED_BIAS = range(BIASES)
+CREEP_RADIUS_M = 18.0
+GNSS_EAST_BIAS, GNSS_NORTH_BIAS, COURSE_BIAS, SPEED_BIAS, REST_BIAS = range(BIASES)
 
 
 def design(*rows: dict[S, float]) -> Array:
@@ -88,15 +89,17 @@ def speed_by_wheels(config: FilterConfig, m: Measurements, rest: Bools) -> Obser
             np.deg2rad(motion.steering_sigma_deg),
         )  # fmt: skip
         speed, sigma = wheel.speed_mps, wheel.sigma_speed
-    z, sigma = np.where(rest, 0.0, speed), np.where(rest, REST_SIGMA_MPS, sigma)
+    still = config.positioning.dead_reckoning.standstill_speed_mps
+    z, sigma = np.where(rest, 0.0, speed), np.where(rest, max(REST_SIGMA_MPS, still), sigma)
     r = diagonal(np.square(sigma), batch=batch)
-    lasting = np.where(rest, 1.0, correlation_factor(motion.speed_tau_s, dt))[:, None, None]
-    crawling = (np.abs(speed) < config.positioning.dead_reckoning.standstill_speed_mps) & ~rest
+    factors = correlation_factor(motion.creep_tau_s, dt), correlation_factor(motion.speed_tau_s, dt)
+    lasting = np.where(rest, *factors)[:, None, None]
+    crawling = (np.abs(speed) < still) & ~rest
     # the scale acts in proportion to the speed: linear in the product, with the speed as measured
     h = np.zeros((batch, 1, 1, STATES))
     h[..., S.SPEED], h[:, 0, 0, S.WHEEL_SCALE] = 1.0, z
-    bias = np.zeros((1, BIASES))
-    bias[0, SPEED_BIAS] = 1.0
+    bias = np.zeros((batch, 1, 1, BIASES))
+    bias[..., 0, 0, SPEED_BIAS], bias[..., 0, 0, REST_BIAS] = ~rest, rest
     return Observation("wheels", z[:, None], h, r * lasting, r, ~crawling, gates(config, 1, gnss=False), bias)
 
 
@@ -143,10 +146,13 @@ def magnetic_heading(config: FilterConfig, m: Measurements) -> Observation:
 def gyro_at_rest(config: FilterConfig, m: Measurements, rest: Bools) -> Observation:
     """At rest the gyro measures its own bias."""
     dt, batch = config.dt_s, rest.shape[0]
-    r = diagonal(config.positioning.heading.angle_random_walk_rad**2 / dt, batch=batch)
+    white = config.positioning.heading.angle_random_walk_rad**2 / dt
+    turning = (config.positioning.dead_reckoning.standstill_speed_mps / CREEP_RADIUS_M) ** 2
+    single = diagonal(white + turning, batch=batch)
+    r = diagonal(white + turning * correlation_factor(config.motion.creep_tau_s, dt), batch=batch)
     z = m.imu.delta_theta_rad[:, 2:] / dt
     there = rest if config.sensor_errors else np.zeros_like(rest)
-    return Observation("rest", z, design({S.GYRO_BIAS: 1.0}), r, r, there, gates(config, 1, gnss=False))
+    return Observation("rest", z, design({S.GYRO_BIAS: 1.0}), r, single, there, gates(config, 1, gnss=False))
 
 
 def printed_inertial(config: FilterConfig, x_before: Array, p_before: Array, acceleration: Array) -> Observation:
@@ -169,18 +175,19 @@ def printed_inertial(config: FilterConfig, x_before: Array, p_before: Array, acc
     return Observation("inertial", z, h, r, r, np.ones(batch, np.bool_), gates(config, 3, gnss=False))
 
 
-def gnss_position(config: FilterConfig, fix: CodePosition, heading_rad: Array, now: Bools) -> Observation:
-    """The position of the antenna, brought to the reference point; its slow error is a state."""
+def gnss_position(
+    config: FilterConfig, fix: CodePosition, heading_rad: Array, now: Bools, lasting: Array
+) -> Observation:
+    """The position of the antenna, brought to the reference point; its slow error is a state; lasting (B,) factors."""
     forward, right = config.positioning.lever_arm_m
     sine, cosine = np.sin(heading_rad), np.cos(heading_rad)
     lever = np.stack([sine * forward + cosine * right, cosine * forward - sine * right], -1)
-    p = config.position
     bias = np.zeros((2, BIASES))
     bias[0, GNSS_EAST_BIAS] = bias[1, GNSS_NORTH_BIAS] = 1.0
     single = fix.fast_m2 + 1e-4 * np.eye(2)
     if config.sensor_errors:
         h = design({S.EAST: 1.0, S.GNSS_EAST: 1.0}, {S.NORTH: 1.0, S.GNSS_NORTH: 1.0})
-        r = single * correlation_factor(p.fast_tau_s, p.interval_s)
+        r = single * lasting[:, None, None]
     else:
         h = design({S.EAST: 1.0}, {S.NORTH: 1.0})
         single = single + fix.slow_m2

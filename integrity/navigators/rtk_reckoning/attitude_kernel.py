@@ -31,7 +31,7 @@ REST_S = 0.5  # without motion, until the vehicle is at rest
 REST_DOPPLER_MPS = 0.1  # Doppler speed that is no motion, at least
 
 
-@jit
+@jit(borrows=True)
 def find_attitude(first: int, last: int, epoch: Epoch) -> None:
     """Heading at the end of the epoch, and the course in its middle."""
     par, measured = epoch.parameters[0], epoch.measured

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, sigma_and_bias
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, shortened, sigma_and_bias
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
     Separations,
     clear_modes,
@@ -52,7 +52,7 @@ def later_by(since: float, memory: float, duration: float) -> float:
     return 1.0 + (since + 3.0 * memory) / duration if since < math.inf else 1.0
 
 
-@jit
+@jit(borrows=True)
 def find_levels(first: int, last: int, epoch: Epoch) -> None:
     """Stage 9: levels of the position as dead reckoning has moved it; inf where the odometer is doubted."""
     par, state, tables = epoch.parameters[0], epoch.state, epoch.tables
@@ -65,7 +65,7 @@ def find_levels(first: int, last: int, epoch: Epoch) -> None:
             levels_since_fix(latest, tables, par.risk, w.sin_h, w.cos_h, w.later, epoch.out.levels[v])
 
 
-@jit
+@jit(borrows=True)
 def levels_since_fix(
     reckoning: DeadReckoningState, tables: Tables, risk: Any, sin_h: float, cos_h: float, later: float, pl: Array
 ) -> None:
@@ -74,8 +74,9 @@ def levels_since_fix(
     Exact levels also bound a fault of any satellite or system in the Doppler velocities since the fix and in the
     heading that they calibrated, by the separation that it has caused
     (:mod:`~lanebound.integrity.monitoring.doppler_separation_kernel`). ``later`` >= 1 raises the priors by the faults
-    that began since. Of the error that the reference gave to the RTK position exact levels take the bound on each axis,
-    published ones equal components on E and N.
+    that began since. They also bound how much wrong headings have shortened the path (:func:`shortened`). Of the error
+    that the reference gave to the RTK position exact levels take the bound on each axis, published ones equal
+    components on E and N.
     """
     growth, starts, separations, cases = reckoning.growth, reckoning.starts, reckoning.separations, tables.cases
     total, squares, lost = exposure(tables.prior, separations.state)
@@ -106,10 +107,11 @@ def levels_since_fix(
                 by_heading = math.sqrt(max(by_heading, 0.0))
                 worst = worst_separation(sine, cosine, sigma_bias[q], by_heading, k_f, separations)
                 level = max(level, worst + whole)
-            pl[r, q] = level + sigma_bias[2 + q] + risk.reference_bias
+            bow = shortened(sine, cosine, max(k_0, k_f) if k_f < math.inf else k_0, growth)
+            pl[r, q] = level + sigma_bias[2 + q] + bow + risk.reference_bias
 
 
-@jit
+@jit(borrows=True)
 def restart(
     reckoning: DeadReckoningState, tables: Tables, risk: Any, vehicle: Any, fixed: Any, sin_h: float, cos_h: float,
     level: Array,

@@ -18,7 +18,7 @@ from lanebound.integrity.positioning.codes_kernel import CODE, DOPPLER, NONE, RT
 __all__ = ["report", "take_fix"]
 
 
-@jit
+@jit(borrows=True)
 def take_fix(first: int, last: int, epoch: Epoch) -> None:
     """Replace the position by an accepted RTK position and restart dead reckoning there; before, by that of codes."""
     par, state, tables, levels = epoch.parameters[0], epoch.state, epoch.tables, epoch.out.levels
@@ -52,7 +52,7 @@ def take_fix(first: int, last: int, epoch: Epoch) -> None:
             vehicle.velocity[0], vehicle.velocity[1] = speed * math.sin(course), speed * math.cos(course)
 
 
-@jit
+@jit(borrows=True)
 def report(first: int, last: int, epoch: Epoch) -> None:
     """Advance the alert and fill the outputs."""
     par, state, out = epoch.parameters[0], epoch.state, epoch.out

@@ -7,7 +7,7 @@ from pydantic import model_validator
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
-from lanebound.integrity.positioning.config import DoubtConfig
+from lanebound.integrity.positioning.config import CODE_DOUBT, DoubtConfig
 from lanebound.integrity.sky.systems import System
 
 __all__ = ["CodeServiceConfig", "ServicesConfig"]
@@ -47,7 +47,7 @@ class CodeServiceConfig(Config):
         NO_PRIOR, min_length=5, max_length=8, description="fault probability of a whole system, by system [-]"
     )
     doubt: DoubtConfig = Field(
-        DoubtConfig(sets=100, odds=0.17, centre_db=4.8, scale_db=0.55, confirm_from=0.01),
+        CODE_DOUBT,
         description="odds that a code is off by more than six sigma, by its loss of C/N0; fitted to L1 codes of "
         "simulated streets (suburban, urban, dense; seed 101)",
     )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, detect_and_exclude
+from lanebound.integrity.monitoring.doubt_modes_kernel import keep_likely
 from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.monitoring.jump_kernel import bounded, is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
@@ -26,7 +27,6 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.services.records_kernel import ServiceRows, ServiceTables
 from lanebound.integrity.navigators.services.zenith_kernel import CarrierTables, update_zenith
 from lanebound.integrity.positioning.codes_kernel import NO_CORRECTIONS
-from lanebound.integrity.positioning.doubtful_kernel import find_sets
 from lanebound.integrity.positioning.geometry_kernel import SOLVED, find_geometry, solve
 from lanebound.integrity.positioning.rows_kernel import Rows
 
@@ -55,7 +55,7 @@ def check_ranges(
             continue
         los = epoch.measured.los[epoch.measured.sight[v]]
         here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
-        if keep_likely(here.used, ranges.odds[v], par.rtk.doubt, scratch) < LEAST_ROWS:
+        if keep_likely(here.used, ranges.odds[v], 0.0, par.rtk.doubt, scratch.sets) < LEAST_ROWS:
             continue
         outcome, _, _, _, excluded = detect_and_exclude(
             here, here.group, epoch.state.vehicles[v].heading.angle, tables.thresholds, par.fde, position, q
@@ -93,26 +93,6 @@ def find_fix(first: int, last: int, epoch: Epoch, service: ServiceTables, ranges
             offer(w.fixed, geo.fix[0], used, ranges.excluded[v], hdop)
             epoch.work.fixed_levels[v, :, :] = levels
             ranges.offered[v] = rules.mode
-
-
-@jit
-def keep_likely(used: Bools, odds: Array, doubt: Any, scratch: FixedScratch) -> int:
-    """Take satellites out of use, the most doubtful first, until few enough sets remain to be monitored; how many
-    remain."""
-    member, own, n = np.empty(used.shape[0], dtype=np.int64), np.empty(used.shape[0]), 0
-    for s in range(used.shape[0]):
-        if used[s]:
-            member[n], own[n] = s, odds[s]
-            n += 1
-    while n > 0 and find_sets(own, n, doubt, scratch.sets)[0] < 0:
-        worst = 0
-        for i in range(1, n):
-            if own[i] > own[worst]:
-                worst = i
-        used[member[worst]] = False
-        n -= 1
-        member[worst], own[worst] = member[n], own[n]
-    return n
 
 
 @jit

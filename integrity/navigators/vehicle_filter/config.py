@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.navigators.navigator import NavigatorConfig
-from lanebound.integrity.positioning.filters.code_position import CodePositionConfig, CodeSource
+from lanebound.integrity.positioning.filters.code_position import SBAS, CodePositionConfig, CodeSource
 from lanebound.integrity.positioning.filters.vehicle_models import TRANSITION, Interaction, Predictor
 from lanebound.integrity.sensors.gnss import GnssConfig
 
@@ -88,6 +88,12 @@ class GnssUpdateConfig(Config):
     least_move_m: float = Field(
         2.0, ge=0, description="least distance driven between two [m]; at rest reflections do not change"
     )
+    rest_interval_s: float = Field(
+        5.0,
+        gt=0,
+        description="after this time a position is used without that distance, with errors that last as at rest [s]; "
+        "chosen",
+    )
     fast_tau_s: float = Field(
         5.0, ge=0, description="correlation time of noise and multipath, bounded by more noise [s]; as tau of signals"
     )
@@ -95,8 +101,9 @@ class GnssUpdateConfig(Config):
     excess_tau_s: float = Field(
         15.0,
         ge=0,
-        description="memory of the NIS of positions, rejected ones too; their noise grows by its mean; 0: it does not "
-        "[s]; chosen on dense streets of seed 101: reflections of a canyon last for some 100 m",
+        description="memory of the NIS of positions, rejected ones too; their noise grows by its mean, exact levels by "
+        "the root of it; 0: they do not [s]; chosen on dense streets of seed 101: reflections of a canyon last for "
+        "some 100 m",
     )
     bias_m: float = Field(
         0.1, ge=0, description="bound of a constant error of positions, on each axis [m]; datum and antenna, chosen"
@@ -128,6 +135,12 @@ class MotionUpdateConfig(Config):
     )
     speed_sigma_mps: float = Field(0.06, gt=0, description="speed by the wheels, 1 sigma [m/s]; S1 section 4: 0.05")
     speed_tau_s: float = Field(0.2, ge=0, description="correlation time of its error [s]; slip, pulses")
+    creep_tau_s: float = Field(
+        5.0,
+        ge=0,
+        description="how long a vehicle creeps where its odometer shows rest, bounded by more noise; a longer one is "
+        "bounded as a constant error [s]; chosen",
+    )
     slip_sigma_deg: float = Field(0.3, gt=0, description="slip by the geometry, 1 sigma [deg]; chosen")
     slide_sigma_deg: float = Field(0.1, ge=0, description="1-sigma of the slide correction at the start [deg]; chosen")
     steering_sigma_deg: float = Field(0.12, gt=0, description="angle of the front wheel, 1 sigma [deg]; ChassisConfig")
@@ -168,6 +181,21 @@ class FilterConfig(NavigatorConfig):
         for row in self.transition:
             if abs(sum(row) - 1.0) > 1e-9:
                 raise ConfigError(f"transition must have rows of sum 1, got {list(row)}: correct it")
+        for name, column in zip(("straight", "curved"), zip(*self.transition, strict=True), strict=True):
+            if not sum(column) > 0.0:
+                raise ConfigError(
+                    f"transition must reach each model, got the column {list(column)} of {name}: make one of its "
+                    "entries larger than 0"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _sbas_corrects_the_first_band(self) -> Self:
+        if self.position.codes.source is CodeSource.SBAS and self.gnss.bands[0] != 0:
+            raise ConfigError(
+                f"gnss.bands must begin with 0 (L1) for position.codes.source sbas, got {list(self.gnss.bands)}: "
+                "set [0], or another source"
+            )
         return self
 
     @property
@@ -188,7 +216,10 @@ class FilterConfig(NavigatorConfig):
 
     @property
     def receiver(self) -> GnssConfig:
-        """The receiver, with undifferenced observables where the positions are made of them."""
-        if self.position.codes.source is CodeSource.UNDIFFERENCED and not self.gnss.undifferenced:
-            return self.gnss.replace(undifferenced=True)
-        return self.gnss
+        """The receiver, with undifferenced observables and SBAS where the positions are made of them."""
+        source, gnss = self.position.codes.source, self.gnss
+        if source is CodeSource.SBAS and SBAS not in gnss.augmentation.providers:
+            gnss = gnss.replace(augmentation={"providers": [*gnss.augmentation.providers, SBAS]})
+        if source is not CodeSource.DIFFERENTIAL and not gnss.undifferenced:
+            gnss = gnss.replace(undifferenced=True)
+        return gnss

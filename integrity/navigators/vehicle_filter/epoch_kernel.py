@@ -182,7 +182,7 @@ def _report(par: Any, filters: Filters, v: int, outcome: int, s: Scratch) -> Non
     mean, covariance, heading = s.mean, s.covariance, _wrapped(s.mean[HEADING])
     trust = HTL_SIGMAS * major_axis(covariance[0, 0], covariance[1, 1], covariance[0, 1])
     find_levels(filters.cases, par.bounds, state, v, mean, heading, trust, out.levels[v])
-    _widen(par, vehicle, out.levels[v])
+    _widen(par, filters.cases, vehicle, out.levels[v])
     posed = vehicle.known and vehicle.aligned
     ready = posed and vehicle.unconfirmed == 0
     if not ready:
@@ -222,10 +222,17 @@ def _report(par: Any, filters: Filters, v: int, outcome: int, s: Scratch) -> Non
 
 
 @jit
-def _widen(par: Any, vehicle: Any, levels: Array) -> None:
-    """The levels hold the distance that the filter has doubted, for its time."""
+def _widen(par: Any, cases: Any, vehicle: Any, levels: Array) -> None:
+    """The levels hold the distance that the filter has doubted, for its time, and what its innovations show.
+
+    Positions whose mean NIS / 2 is m > 1 show that the filter, its positions, or both are off by more than declared:
+    exact levels are ``sqrt(m)`` times as large. Published ones stay.
+    """
+    misfit = math.sqrt(max(vehicle.excess, 1.0)) if par.excess_tau > 0.0 else 1.0
     for k in range(levels.shape[0]):
         for q in range(2):
+            if not cases[k].published:
+                levels[k, q] *= misfit
             levels[k, q] += vehicle.doubt
     vehicle.doubt_left = max(vehicle.doubt_left - par.dt, 0.0)
     if vehicle.doubt_left == 0.0:

@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import COURSE_BIAS, MOTION, SPEED_BIAS, MeasuredMotion
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
+    COURSE_BIAS,
+    MOTION,
+    REST_BIAS,
+    SPEED_BIAS,
+    MeasuredMotion,
+)
 from lanebound.integrity.positioning.filters.correction_kernel import UNTESTED, Models, Vector, clear, observe
 from lanebound.integrity.positioning.filters.mixing_kernel import combine
 from lanebound.integrity.positioning.filters.odometry_kernel import WheelOdometry, from_front_wheel, rolling_slip
@@ -32,7 +38,8 @@ __all__ = ["acceleration_along", "correct_by_motion", "correct_by_printed", "pri
 
 Array = NDArray[np.float64]
 HEADING_NOISE_RAD = 1e-5  # of the integrated gyro beside its random walk, rounding
-REST_SIGMA_MPS = 0.02
+REST_SIGMA_MPS = 0.02  # at least, where the odometer shows the slowest creep
+CREEP_RADIUS_M = 18.0  # a creep turns at most on a circle of 6 m, which is three sigma; chosen
 STEERING_MODEL_RADPS = 1e-2  # 1-sigma of the bicycle model in the test of the yaw rate by steering
 
 
@@ -94,16 +101,19 @@ def _inertial_heading(turned: float, models: Models, w: Vector) -> None:
 
 @jit
 def _speed(par: Any, wheel: WheelOdometry, rest: bool, models: Models, w: Vector) -> tuple[float, bool]:
-    """Speed by the wheels, 0 at rest; NIS, and whether it was rejected. A crawling car has none."""
+    """Speed by the wheels, 0 at rest; NIS, and whether it was rejected. A crawling car has none.
+
+    Wheels that show rest may creep, up to the speed below which the odometer shows nothing.
+    """
     if abs(wheel.speed) < par.still_speed and not rest:
         return 0.0, False
-    z, sigma = (0.0, REST_SIGMA_MPS) if rest else (wheel.speed, wheel.sigma_speed)
+    z, sigma = (0.0, max(REST_SIGMA_MPS, par.still_speed)) if rest else (wheel.speed, wheel.sigma_speed)
     clear(w)
     # the scale acts in proportion to the speed: linear in the product, with the speed as measured
     w.z[0], w.h[0, SPEED], w.h[0, WHEEL_SCALE] = z, 1.0, z
     w.single[0, 0] = sigma * sigma
-    w.r[0, 0] = sigma * sigma * (1.0 if rest else par.speed_factor)
-    w.errors[0, SPEED_BIAS] = 1.0
+    w.r[0, 0] = sigma * sigma * (par.creep_factor if rest else par.speed_factor)
+    w.errors[0, REST_BIAS if rest else SPEED_BIAS] = 1.0
     nis, used = observe(models, w, 1, par.gate_motion, False)
     return nis, not used
 
@@ -139,10 +149,12 @@ def _magnetic_heading(par: Any, heading: float, models: Models, w: Vector) -> No
 
 @jit
 def _gyro_at_rest(par: Any, rate: float, models: Models, w: Vector) -> None:
-    """At rest the gyro measures its own bias."""
+    """At rest the gyro measures its own bias, but for the turning of a creep."""
     clear(w)
     w.z[0], w.h[0, GYRO_BIAS] = rate, 1.0
-    w.r[0, 0] = w.single[0, 0] = par.walk * par.walk / par.dt
+    white, turning = par.walk * par.walk / par.dt, par.still_speed / CREEP_RADIUS_M
+    w.single[0, 0] = white + turning * turning
+    w.r[0, 0] = white + turning * turning * par.creep_factor
     observe(models, w, 1, par.gate_motion, False)
 
 

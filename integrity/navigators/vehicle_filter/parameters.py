@@ -17,6 +17,7 @@ from lanebound.integrity.monitoring.sbas import Operation
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.levels_kernel import CASE
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import MODELS, PARAMETERS
+from lanebound.integrity.positioning.filters.code_position import CodeSource
 from lanebound.integrity.positioning.filters.odometry_kernel import CAR
 from lanebound.integrity.positioning.filters.vehicle_models import Interaction, Predictor, S
 from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES, WHITE
@@ -64,6 +65,8 @@ def filter_parameters(c: FilterConfig) -> Records:
         doubt=c.gate.doubt_s,
         interval=position.interval_s,
         least_move=position.least_move_m,
+        rest_interval=position.rest_interval_s,
+        rest_factor=correlation_factor(_rest_tau_s(c), position.rest_interval_s),
         slow_tau=position.slow_tau_s,
         fast_factor=correlation_factor(position.fast_tau_s, position.interval_s),
         excess_tau=position.excess_tau_s,
@@ -73,6 +76,7 @@ def filter_parameters(c: FilterConfig) -> Records:
         accelerometer_bias=motion.accelerometer_bias_mps2,
         speed_sigma=motion.speed_sigma_mps,
         speed_factor=correlation_factor(motion.speed_tau_s, c.dt_s),
+        creep_factor=correlation_factor(motion.creep_tau_s, c.dt_s),
         slip_sigma=np.deg2rad(motion.slip_sigma_deg),
         steering_sigma=np.deg2rad(motion.steering_sigma_deg),
         steering_factor=correlation_factor(motion.steering_tau_s, c.dt_s),
@@ -86,10 +90,23 @@ def filter_parameters(c: FilterConfig) -> Records:
         car=one_record(CAR, wheelbase=c.chassis.wheelbase_m, track=c.chassis.track_m, axle=c.chassis.axle_m),
         doppler_sigma=c.positioning.doppler.sigma_mps,
         wheel_bound=dead.odometer_scale,
-        bounds=[position.bias_m, position.bias_m, np.deg2rad(dead.heading_bias_deg), dead.odometer_bias_mps],
+        bounds=[
+            position.bias_m,
+            position.bias_m,
+            np.deg2rad(dead.heading_bias_deg),
+            dead.odometer_bias_mps,
+            dead.standstill_speed_mps,
+        ],
         sbas_sigmas=Operation.EN_ROUTE.value[0],
         alert=alert_parameters(c.alert),
     )
+
+
+def _rest_tau_s(c: FilterConfig) -> float:
+    """How long errors of the codes last at rest."""
+    codes = c.position.codes
+    errors = codes.errors if codes.source is CodeSource.UNDIFFERENCED else codes.differential_errors
+    return max(errors.rest_tau_s, c.position.fast_tau_s)
 
 
 def _gates(c: FilterConfig) -> dict[str, Any]:

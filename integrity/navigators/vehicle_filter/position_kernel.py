@@ -55,11 +55,12 @@ def correct_by_position(
     vehicle.moved += abs(measured.distance[v])
     if not (fix.valid[v] and vehicle.known):
         return NONE
-    if vehicle.fix_age < par.interval - EPS_S or vehicle.moved < par.least_move:
+    resting = vehicle.moved < par.least_move
+    if vehicle.fix_age < (max(par.interval, par.rest_interval) if resting else par.interval) - EPS_S:
         return NONE
     if par.sensor_errors:
         take_slow_error(par, state, v, fix)
-    _position_vector(par, state, v, fix, w)
+    _position_vector(par, state, v, fix, w, par.rest_factor if resting else par.fast_factor)
     outcome = NONE
     if vehicle.rejected[GNSS] >= par.lost:
         _doubt(par, vehicle, models, w)
@@ -78,8 +79,11 @@ def correct_by_position(
 
 
 @jit
-def _position_vector(par: Any, state: FilterState, v: int, fix: PositionFix, w: Vector) -> None:
-    """The position of the antenna, brought to the reference point; its slow error is a state."""
+def _position_vector(par: Any, state: FilterState, v: int, fix: PositionFix, w: Vector, lasting: float) -> None:
+    """The position of the antenna, brought to the reference point; its slow error is a state.
+
+    lasting : variance factor of its fast errors
+    """
     heading = 0.0
     for j in range(state.x.shape[1]):
         heading += state.probability[v, j] * state.x[v, j, HEADING]
@@ -92,7 +96,7 @@ def _position_vector(par: Any, state: FilterState, v: int, fix: PositionFix, w: 
         for j in range(2):
             w.single[i, j] = fix.fast[v, i, j] + (NUMERIC_M2 if i == j else 0.0)
             if par.sensor_errors:
-                w.r[i, j] = w.single[i, j] * par.fast_factor
+                w.r[i, j] = w.single[i, j] * lasting
             else:
                 w.single[i, j] += fix.slow[v, i, j]
                 w.r[i, j] = w.single[i, j]

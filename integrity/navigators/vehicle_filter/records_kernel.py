@@ -21,6 +21,7 @@ __all__ = [
     "GNSS_NORTH_BIAS",
     "MOTION",
     "PARAMETERS",
+    "REST_BIAS",
     "SPEED_BIAS",
     "VEHICLE",
     "FilterOutputs",
@@ -33,8 +34,8 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-BIASES = 4  # bounded constant errors
-GNSS_EAST_BIAS, GNSS_NORTH_BIAS, COURSE_BIAS, SPEED_BIAS = range(BIASES)
+BIASES = 5  # bounded constant errors
+GNSS_EAST_BIAS, GNSS_NORTH_BIAS, COURSE_BIAS, SPEED_BIAS, REST_BIAS = range(BIASES)
 COMMON = 2  # slow errors common to all satellites: ionosphere, troposphere
 GNSS, MOTION = 0, 1  # sensor vectors whose NIS is reported
 MODELS = 2  # at most
@@ -60,6 +61,8 @@ PARAMETERS = record(
     doubt="how long levels hold the distance then [s]",
     interval="least time between two positions used [s]",
     least_move="least distance driven between two [m]",
+    rest_interval="time after which a position is used without that distance [s]",
+    rest_factor="variance factor of the lasting errors of positions at rest [-]",
     slow_tau="correlation time of slow errors of positions [s]",
     fast_factor="variance factor of the lasting errors of positions [-]",
     excess_tau="memory of the innovations of positions, 0: none [s]",
@@ -69,6 +72,7 @@ PARAMETERS = record(
     accelerometer_bias="1-sigma [m/s^2]",
     speed_sigma="speed by the wheels, 1 sigma [m/s]",
     speed_factor="variance factor of its lasting errors [-]",
+    creep_factor="variance factor of a creep that the wheels show as rest [-]",
     slip_sigma="slip by the geometry, 1 sigma [rad]",
     steering_sigma="angle of the front wheel, 1 sigma [rad]",
     steering_factor="variance factor of its lasting errors [-]",
@@ -82,7 +86,7 @@ PARAMETERS = record(
     car=(CAR, "geometry of the chassis"),
     doppler_sigma="range rate, 1 sigma [m/s]",
     wheel_bound="bound of the odometer's scale error [-]",
-    bounds=("f8", (BIASES,), "of constant errors: position East, North [m], course [rad], speed [m/s]"),
+    bounds=("f8", (BIASES,), "of constant errors: position East, North [m], course [rad], speed, and at rest [m/s]"),
     sbas_sigmas="K_H of the SBAS level of a position [-]",
     alert=(ALERT_RULES, "alert limits and times"),
 )

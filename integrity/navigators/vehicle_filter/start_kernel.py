@@ -25,6 +25,8 @@ from lanebound.integrity.navigators.vehicle_filter.position_kernel import (
 )
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     BIASES,
+    GNSS_EAST_BIAS,
+    GNSS_NORTH_BIAS,
     FilterState,
     MeasuredMotion,
     PositionFix,
@@ -75,6 +77,7 @@ def begin(par: Any, state: FilterState, v: int, measured: MeasuredMotion, fix: P
             _try_course(par, state, v, measured, fix)
     if vehicle.aligned and not vehicle.known and fix.valid[v]:
         begin_at(state, v, fix.position[v], max(vehicle.excess, 1.0) * fix.fast[v] + fix.slow[v])
+        _share_constant_error(state, v)
         vehicle.unconfirmed = CONFIRMATIONS
         if par.sensor_errors:
             _share_slow_error(par, state, v, fix, w)
@@ -139,6 +142,13 @@ def begin_at(state: FilterState, v: int, position: Array, covariance: Array) -> 
     vehicle.known, vehicle.biased, vehicle.unconfirmed = True, False, 0
     vehicle.fix_age = vehicle.moved = math.inf
     vehicle.rejected[:] = 0.0
+
+
+@jit
+def _share_constant_error(state: FilterState, v: int) -> None:
+    """The position that a vehicle begins with has the constant error of GNSS positions, a told one has not."""
+    for j in range(state.x.shape[1]):
+        state.influence[v, j, EAST, GNSS_EAST_BIAS] = state.influence[v, j, NORTH, GNSS_NORTH_BIAS] = 1.0
 
 
 @jit

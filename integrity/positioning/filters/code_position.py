@@ -11,7 +11,7 @@ satellites the sky of the batch holds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -20,16 +20,19 @@ from pydantic import Field
 from scipy.special import chdtri
 
 from lanebound.integrity.core.config import Config
-from lanebound.integrity.positioning.code_errors import CodeErrorBudget
+from lanebound.integrity.positioning.code_errors import CodeErrorBudget, CodeErrorParts
 from lanebound.integrity.positioning.code_solution import CodeFit, solve_ranges
+from lanebound.integrity.sensors.augmentation import Corrections
 from lanebound.integrity.sensors.instruments import Measurements
 
-__all__ = ["CodePosition", "CodePositionConfig", "CodeSource", "DifferentialErrorBudget", "locate_by_codes"]
+__all__ = ["SBAS", "CodePosition", "CodePositionConfig", "CodeSource", "DifferentialErrorBudget", "locate_by_codes"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 PLACES = 48  # satellites of one epoch; further ones are left out
 UP = np.array([0.0, 0.0, 1.0])
+SBAS = "sbas_l1"  # the provider of its corrections
+SLANT = CodeErrorBudget(satellite_m=0.0, iono_zenith_m=1.0, iono_common=0.0)  # own variance: squared slant factor
 
 
 class CodeSource(Enum):
@@ -37,6 +40,7 @@ class CodeSource(Enum):
 
     UNDIFFERENCED = "undifferenced"
     DIFFERENTIAL = "differential"
+    SBAS = "sbas"
 
 
 class DifferentialErrorBudget(CodeErrorBudget):
@@ -52,7 +56,8 @@ class CodePositionConfig(Config):
 
     source: CodeSource = Field(
         CodeSource.UNDIFFERENCED,
-        description="undifferenced: standalone, as S4's GPS; differential: codes corrected by the reference station",
+        description="undifferenced: standalone, as S4's GPS; differential: codes corrected by the reference station; "
+        "sbas: by satellite corrections and ionospheric grid (EGNOS), of their satellites alone",
     )
     elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
     cn0_min_dbhz: float = Field(
@@ -66,9 +71,14 @@ class CodePositionConfig(Config):
         DifferentialErrorBudget(reflections_m=0.3), description="errors of codes corrected by the station"
     )
     height_sigma_m: float | None = Field(
-        None, gt=0, description="1 sigma of the height of the road over its origin, by a map [m]; none: not used"
+        None,
+        gt=0,
+        description="1 sigma of the height of the road over its origin, by a map [m]; a position then has a "
+        "redundant row at least; none: not used",
     )
-    max_age_s: float = Field(30.0, gt=0, description="oldest usable corrections [s]; RTKLIB default")
+    max_age_s: float = Field(30.0, gt=0, description="oldest usable corrections of the station [s]; RTKLIB default")
+    sbas_max_age_s: float = Field(18.0, gt=0, description="oldest SBAS corrections of satellites [s]; DO-229D")
+    grid_max_age_s: float = Field(600.0, gt=0, description="oldest ionospheric grid of SBAS [s]; DO-229D")
     false_rejection: float = Field(
         1e-3, gt=0, lt=1, description="P(a consistent epoch is found inconsistent) [-]; S5 P_FA"
     )
@@ -157,8 +167,11 @@ def _position(
     fast = (plane * (rows.fast * excess[:, None])[:, None, :]) @ transposed
     common = plane @ rows.common
     slow = (plane * rows.own[:, None, :]) @ transposed + common @ np.swapaxes(common, -1, -2)
-    hdop = solve_ranges(rows.los, rows.code, 1.0, used, rows.system).hdop_m
+    plain = solve_ranges(rows.los, rows.code, 1.0, used, rows.system, rows.height)
+    hdop = np.where(plain.solved, plain.hdop_m, np.inf)
     valid = good & (hdop <= config.max_hdop)
+    if rows.height is not None:
+        valid &= fit.df >= 1  # a height that is wrong shows in the residuals only beside a redundant code
     rate = np.where(used, rows.rate, 0.0)
     by_satellite, own = np.zeros((*used.shape[:1], rows.satellites, 2)), np.zeros((used.shape[0], rows.satellites))
     row, column = np.nonzero(used)
@@ -184,13 +197,11 @@ def _gather(config: CodePositionConfig, m: Measurements) -> _CodeRows:
     """The usable signals of each vehicle in the first places, in the order of the satellites."""
     g, batch = m.gnss, m.gnss.tracked.shape[0]
     los = m.sky.los_enu[m.sky.index]
-    standalone = config.source is CodeSource.UNDIFFERENCED
-    codes = g.raw_code_m if standalone else g.code_m
+    codes = g.code_m if config.source is CodeSource.DIFFERENTIAL else g.raw_code_m
     assert codes is not None  # the receiver of the kind computes them
     usable = g.tracked & (codes[..., 0] != 0.0) & (g.cn0_dbhz >= config.cn0_min_dbhz)
     usable &= los[..., 2] > np.sin(np.deg2rad(config.elevation_mask_deg))
-    if not standalone:
-        usable &= (g.corrections_age_s <= config.max_age_s)[:, None]
+    usable &= _in_time(config, m)
     width = min(PLACES, usable.shape[1])
     place = np.zeros((batch, PLACES), dtype=np.int64)
     place[:, :width] = np.argsort(~usable, axis=-1, kind="stable")[:, :width]
@@ -198,14 +209,14 @@ def _gather(config: CodePositionConfig, m: Measurements) -> _CodeRows:
     row = np.arange(batch)[:, None]
     used[:, :width] = usable[row, place[:, :width]]
     los, cn0 = np.where(used[..., None], los[row, place], UP), g.cn0_dbhz[row, place]
-    errors = (config.errors if standalone else config.differential_errors).errors(los[..., 2], cn0)
+    correction, errors = _corrected(config, m, place, used, los[..., 2], cn0)
     known = config.height_sigma_m
     return _CodeRows(
         place=place,
         satellites=usable.shape[1],
         los=los,
         system=m.sky.system[place],
-        code=np.where(used, codes[row, place, 0], 0.0),
+        code=np.where(used, codes[row, place, 0] - correction, 0.0),
         rate=np.where(used, g.range_rate_mps[row, place], 0.0),
         used=used,
         fast=errors.fast_m2,
@@ -213,3 +224,43 @@ def _gather(config: CodePositionConfig, m: Measurements) -> _CodeRows:
         common=errors.common_m,
         height=None if known is None else (np.zeros(batch), np.full(batch, known)),
     )
+
+
+def _in_time(config: CodePositionConfig, m: Measurements) -> Bools:
+    """Signals whose corrections are in time, or that need none.  (B, S)."""
+    if config.source is CodeSource.UNDIFFERENCED:
+        return np.ones_like(m.gnss.tracked)
+    if config.source is CodeSource.DIFFERENTIAL:
+        return np.broadcast_to((m.gnss.corrections_age_s <= config.max_age_s)[:, None], m.gnss.tracked.shape)
+    held = _held(m)
+    fresh = (held.age_s <= config.sbas_max_age_s) & (held.zenith_age_s <= config.grid_max_age_s)
+    return np.asarray(fresh[:, None] & np.isfinite(held.declared_m))
+
+
+def _corrected(
+    config: CodePositionConfig, m: Measurements, place: NDArray[np.int64], used: Bools, sine: Array, cn0_dbhz: Array
+) -> tuple[Array, CodeErrorParts]:
+    """What is to be subtracted from the codes (B, K) [m], and the errors that are left.
+
+    Of SBAS ``satellite + F dz``, with variances ``sigma_UDRE^2 + F^2 sigma_GIVE^2`` as declared (DO-229 appendix J),
+    which grow with the ages of the messages.
+    """
+    if config.source is CodeSource.UNDIFFERENCED:
+        return np.zeros(used.shape), config.errors.errors(sine, cn0_dbhz)
+    if config.source is CodeSource.DIFFERENTIAL:
+        return np.zeros(used.shape), config.differential_errors.errors(sine, cn0_dbhz)
+    held, row = _held(m), np.arange(used.shape[0])[:, None]
+    budget = config.errors.replace(satellite_m=0.0, iono_zenith_m=0.0)
+    left, squared = budget.errors(sine, cn0_dbhz), SLANT.errors(sine, cn0_dbhz).own_m2
+    age, grid_age = np.where(used.any(-1), [held.age_s, held.zenith_age_s], 0.0)[..., None]
+    declared = np.where(used, held.declared_m[place], 0.0)
+    satellite = np.square(declared) + budget.satellite_growth_m2ps * age
+    vertical = held.zenith_declared_m**2 + budget.iono_growth_m2ps * grid_age
+    correction = held.satellite_m[row, place] + np.sqrt(squared) * held.zenith_m[row, place]
+    return np.where(used, correction, 0.0), replace(left, own_m2=left.own_m2 + satellite + squared * vertical)
+
+
+def _held(m: Measurements) -> Corrections:
+    """What the vehicles hold of SBAS."""
+    assert m.gnss.corrections is not None, "the receiver of the kind simulates its provider"
+    return m.gnss.corrections[SBAS]

@@ -29,7 +29,10 @@ LEAST = 1e-12  # probability below which no model falls, so that it can return
 
 @jit
 def mixing_weights(probability: Array, transition: Array, standard: bool, weight: Array, predicted: Array) -> None:
-    """``C_j = sum_i P_ij mu_i`` into predicted (r,), and the weight of model i in the start of model j into (r, r)."""
+    """``C_j = sum_i P_ij mu_i`` into predicted (r,), and the weight of model i in the start of model j into (r, r).
+
+    A model that none leads to has no weights of its own: it begins with the output of the epoch before.
+    """
     r = probability.shape[0]
     for j in range(r):
         predicted[j] = 0.0
@@ -37,7 +40,7 @@ def mixing_weights(probability: Array, transition: Array, standard: bool, weight
             weight[i, j] = transition[i, j] * probability[i]
             predicted[j] += weight[i, j]
         for i in range(r):
-            weight[i, j] = weight[i, j] / predicted[j] if standard else probability[i]
+            weight[i, j] = weight[i, j] / predicted[j] if standard and predicted[j] > 0.0 else probability[i]
 
 
 @jit

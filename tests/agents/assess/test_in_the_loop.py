@@ -65,6 +65,23 @@ def test_an_error_beyond_its_level_is_counted_where_it_belongs() -> None:
     assert (counts["misleading"][Mode.RTK], counts["misleading"][Mode.DOPPLER]) == (1, 0)  # the third is not usable
 
 
+def test_trust_levels_are_counted_where_there_are_any(result: tuple[dict[str, Any], Path]) -> None:
+    assert "trust" not in result[0]["skies"]["dense"]  # the default navigator has none
+    assert loop.trust_rows(result[0])[1] == []
+    config = loop.InTheLoopConfig.load({**SHORT, "risks": [1e-3]})
+    moment = next(drive_street(config.with_levels(), "dense", 0))
+    level = np.array([1.0, 1.0, np.inf])  # the last one has no level yet
+    solution = replace(moment.solution, trust_m=np.array([5.0, 8.0, 1.0]), pl_at_m=level)
+    tally = loop._Tally(config)
+    tally.count(replace(moment, error_m=np.array([[3.0, -4.1], [5.0, 0.0], [9.0, 0.0]]), solution=solution))
+    counts = tally.counts()
+    assert counts["trust"] == [2, 1, 1]  # with one, beyond it, below 7 m
+    found = loop._summary(config, [counts | {"samples": [[0], [1.0], [1.0]]}])
+    assert found["trust"]["rate"] == 0.5
+    rows = loop.trust_rows({"skies": {"dense": found}})[1]
+    assert rows == [("dense", "2", "1 (0.5)", "1", "50.0 %")]
+
+
 def test_a_second_run_reads_what_the_first_left(result: tuple[dict[str, Any], Path]) -> None:
     found, out = result
     before = {file.name: file.stat().st_mtime_ns for file in (out / "parts").iterdir()}

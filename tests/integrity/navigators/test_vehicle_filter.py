@@ -18,6 +18,7 @@ from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.navigators.vehicle_filter.levels_kernel import major_axis, mixture_level
 from lanebound.integrity.navigators.vehicle_filter.navigator import FilterNavigator
 from lanebound.integrity.positioning.filters.code_position import locate_by_codes
+from lanebound.integrity.positioning.filters.mixing_kernel import mixing_weights
 from lanebound.integrity.positioning.filters.odometry_kernel import CAR, from_front_wheel, rolling_slip
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.road import Road
@@ -196,6 +197,25 @@ def test_the_noise_of_positions_grows_with_their_innovations():
     assert (quiet.state.belief.vehicles["excess"] < 2.0).all()
 
 
+def test_levels_grow_by_the_misfit_of_positions():
+    """By the root of the mean NIS / 2; the published level does not."""
+    cases = {"more_levels": [{"integrity_risk": 1e-3}, {"integrity_risk": 1e-7, "variant": "published"}]}
+    navigator, truths = drives([1, 2], **cases)
+    solution = errors(navigator, truths, 70, shifted)[1][-1]
+    excess = navigator.state.belief.vehicles["excess"]
+    assert (excess > 3.0).all()
+    b, heading = navigator.state.belief, solution.heading_rad
+    t = np.stack([np.sin(heading), np.cos(heading)], -1)[:, None]  # along
+    far = np.abs((t * (b.x[..., :2] - solution.position_en_m[:, None])).sum(-1))
+    moved = (t[..., None] * b.influence[:, :, :2]).sum(2)
+    far += np.abs(moved[..., :5]) @ navigator._parameters["bounds"][0]
+    sigma = np.sqrt(np.einsum("bri,brij,brj->br", t + 0 * far[..., None], b.p[..., :2, :2], t + 0 * far[..., None])
+                    + np.square(moved[..., 5:]).sum(-1))  # fmt: skip
+    least = np.min(far + norm.isf(0.5e-3) * sigma, -1)  # of one model, at no less than the budget of one side
+    assert (solution.pl_cases_m[:, 1, 0] >= np.sqrt(excess) * 0.9 * least).all()
+    np.testing.assert_allclose(solution.pl_cases_m[:, 2], np.repeat(navigator.report.htl_m[:, None], 2, 1))
+
+
 def test_a_filter_that_rejects_for_long_doubts_itself():
     navigator, truths = drives([1, 2], gate={"lost_s": 3.0})
     _, solutions = errors(navigator, truths, 130, shifted)
@@ -267,7 +287,7 @@ def test_wrong_configurations_are_refused():
         config(models=["curved", "curved"])
 
 
-@pytest.mark.parametrize("preset", ["imm_differential", "imm_s4"])
+@pytest.mark.parametrize("preset", ["imm_differential", "imm_s4", "imm_sbas"])
 def test_the_engine_navigates_as_a_single_environment(preset):
     """Presets drive environments and the vector engine, bit for bit alike in the same episode."""
     settings = {"navigator": preset, "duration_s": 2.0, "sky": "open", "observation": {"form": "flat"}}
@@ -285,3 +305,132 @@ def test_the_engine_navigates_as_a_single_environment(preset):
     assert abs(info["err_ct_m"]) < info["pl_ct_m"] < 20.0
     env.close()
     engine.close()
+
+
+def test_a_model_that_none_leads_to_is_refused():
+    with pytest.raises(ConfigError, match=r"transition must reach each model, got the column \[0\.0, 0\.0\] of curved"):
+        config(transition=[[1.0, 0.0], [1.0, 0.0]])
+    weight, predicted = np.zeros((2, 2)), np.zeros(2)
+    mixing_weights(np.array([0.5, 0.5]), np.array([[1.0, 0.0], [1.0, 0.0]]), True, weight, predicted)
+    assert np.isfinite(weight).all()
+
+
+def few_satellites(m, count):
+    """The first satellites that are tracked, for each vehicle."""
+    rank = np.cumsum(m.gnss.tracked, -1)
+    return replace(m, gnss=replace(m.gnss, tracked=m.gnss.tracked & (rank <= count)))
+
+
+def test_a_known_height_counts_beside_a_redundant_code_alone():
+    """Three codes of one system and a height: solvable, and nothing would show a wrong one of them."""
+    more = {"sky": {"gps": 24, "galileo": 0, "glonass": 0, "beidou": 0}}
+    navigator, truths = drives([1, 2], **more)
+    for _ in range(10):
+        m = navigator.measure(next(truths))
+    plain = navigator.config.position.codes
+    known = plain.replace(height_sigma_m=0.5)
+    three = locate_by_codes(known, few_satellites(m, 3))
+    assert (three.satellites == 3).all()
+    assert (three.hdop > 0.0).all()
+    assert not three.valid.any()
+    assert np.isinf(locate_by_codes(plain, few_satellites(m, 3)).hdop).all()
+    every = locate_by_codes(known, m)
+    assert every.valid.all()
+    assert (every.hdop <= locate_by_codes(plain, m).hdop + 1e-9).all()
+
+
+def test_a_first_position_has_the_constant_error_of_positions():
+    navigator, truths = drives([1, 2], start=False)
+    for _ in range(100):
+        navigator.step(next(truths))
+        b = navigator.state.belief
+        begun = b.vehicles["known"] & (b.vehicles["fix_age"] == 0.0) & (b.vehicles["unconfirmed"] == 3)
+        if begun.any():
+            break
+    assert begun.any()
+    np.testing.assert_allclose(b.influence[begun][:, :, [0, 1], [0, 1]], 1.0)
+    navigator.place(np.zeros((2, 2)), np.zeros(2), 0.1, 0.01)
+    assert not navigator.state.belief.influence[:, :, :2].any()
+
+
+def test_a_creep_that_the_odometer_shows_as_rest_is_within_the_levels():
+    """60 s at 0.1 m/s along a straight road: the odometer shows 0 throughout."""
+    c = config()
+    navigator = Navigator.nominal(c, [1, 2], duration_s=80.0)
+    car = CityDrive(BEND, DriveConfig(), c.dt_s)
+    traffic = Streams([1, 2])
+    state = car.start(traffic)
+    navigator.place(state.position_m.copy(), state.heading_rad.copy(), 0.05, np.deg2rad(0.5))
+    truth = car.step(state, traffic)
+    start, still = truth.position_enu_m.copy(), np.zeros_like(truth.velocity_enu_mps)
+    along = np.array([1.0, 0.0, 0.0])
+    for k in range(600):
+        position = start + 0.1 * c.dt_s * (k + 1) * along
+        t = replace(truth, position_enu_m=position, velocity_enu_mps=still + 0.1 * along)
+        m = navigator.measure(t)
+        m = replace(m, odometer=replace(m.odometer, speed_mps=np.zeros(2), distance_m=np.zeros(2)),
+                    imu=replace(m.imu, delta_v_mps=np.zeros((2, 3)), delta_theta_rad=np.zeros((2, 3))))  # fmt: skip
+        s = navigator.locate(m)
+        error = np.abs(s.position_en_m - position[:, :2])
+        assert (error[:, 0] <= s.pl_at_m).all()
+        assert (error[:, 1] <= s.pl_ct_m).all()
+    assert (s.pl_at_m < 20.0).all()  # positions at rest bound it
+
+
+SBAS = {"position": {"codes": {"source": "sbas"}}, "gnss": {"augmentation": {"warm": True}}}
+
+
+def test_sbas_corrects_codes_as_its_service_does():
+    """64 vehicles of as many skies: SBAS takes a part of the errors, its sigmas hold the rest, HPL_SBAS is theirs."""
+    found = {}
+    for source in ("undifferenced", "sbas"):
+        c = config(position={"codes": {"source": source}})
+        navigator = Navigator.nominal(c, list(range(64)), duration_s=20.0)
+        car, traffic = CityDrive(BEND, DriveConfig(), c.dt_s), Streams(list(range(64)))
+        state = car.start(traffic)
+        for _ in range(5):
+            truth = car.step(state, traffic)
+            m = navigator.measure(truth)
+        fix = locate_by_codes(c.position.codes, m)
+        assert fix.valid.all()
+        error = fix.position_m[:, :2] - truth.position_enu_m[:, :2]
+        found[source] = np.sqrt(np.square(error).sum(-1).mean())
+        ratio = np.square(error).sum(-1) / np.trace(fix.fast_m2 + fix.slow_m2, axis1=1, axis2=2)
+    assert ratio.mean() < 0.6  # of SBAS, which declares 2.3 sigma
+    assert found["sbas"] < 0.75 * found["undifferenced"]
+    held = m.gnss.corrections["sbas_l1"]
+    corrected = np.isfinite(held.declared_m)
+    assert (fix.own_m2[:, ~corrected] == 0.0).all()
+    sine = m.sky.los_enu[m.sky.index][..., 2]
+    slant2 = 1.0 / (1.0 - (6378136.3 / 6728136.3) ** 2 * (1.0 - sine**2))
+    declared = held.declared_m**2 + slant2 * held.zenith_declared_m**2
+    grown = declared + 1e-3 * held.age_s[:, None] + slant2 * 0.006 * held.zenith_age_s[:, None]
+    used = fix.own_m2 > 0.0
+    np.testing.assert_allclose(fix.own_m2[used], grown[used], rtol=1e-9)
+    navigator.locate(m)
+    q = fix.fast_m2 + fix.slow_m2
+    hpl = np.sqrt([np.linalg.eigvalsh(v)[-1] for v in q]) * 6.18  # K_H en route, DO-229D
+    np.testing.assert_allclose(navigator.report.hpl_sbas_m, hpl, rtol=1e-9)
+
+
+def test_sbas_that_is_too_old_gives_no_position():
+    navigator, truths = drives([1, 2], **SBAS)
+    for _ in range(5):
+        m = navigator.measure(next(truths))
+    assert locate_by_codes(navigator.config.position.codes, m).valid.all()
+    held = m.gnss.corrections["sbas_l1"]
+    for late in ({"age_s": np.array([18.1, 0.0])}, {"zenith_age_s": np.array([np.inf, 0.0])}):
+        old = replace(m, gnss=replace(m.gnss, corrections={"sbas_l1": replace(held, **late)}))
+        fix = locate_by_codes(navigator.config.position.codes, old)
+        assert not fix.valid[0]
+        assert np.isfinite(fix.position_m).all()
+        assert np.isfinite(fix.slow_m2).all()
+    with pytest.raises(ConfigError, match=r"gnss\.bands must begin with 0"):
+        config(position={"codes": {"source": "sbas"}}, gnss={"bands": [2]})
+
+
+def test_a_filter_by_sbas_is_within_its_levels():
+    navigator, truths = drives([1, 2, 3], **SBAS)
+    error, solutions = errors(navigator, truths, 130)
+    assert (error <= np.array([np.hypot(s.pl_at_m, s.pl_ct_m) for s in solutions])).all()
+    assert navigator.state.belief.vehicles["biased"].all()  # positions were used
