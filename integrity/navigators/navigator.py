@@ -37,6 +37,7 @@ from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
 from lanebound.integrity.sensors.area import initial_area
+from lanebound.integrity.sensors.barometer import BarometerConfig, initial_barometer, sample_barometer
 from lanebound.integrity.sensors.chassis import ChassisConfig, initial_chassis, sample_chassis
 from lanebound.integrity.sensors.compass import CompassConfig, initial_compass, sample_compass
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
@@ -108,6 +109,7 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
     odometer: OdometerConfig = OdometerConfig()
     chassis: ChassisConfig = ChassisConfig()
     compass: CompassConfig = CompassConfig()
+    barometer: BarometerConfig = BarometerConfig()
     positioning: PositioningConfig = PositioningConfig()
     fde: FdeConfig = FdeConfig()
     risk: RiskConfig = RiskConfig()
@@ -306,6 +308,7 @@ class Navigator:
             odometer=initial_odometer(c.odometer, streams),
             chassis=initial_chassis(c.chassis, streams) if c.chassis.fitted else None,
             compass=initial_compass(c.compass, streams) if c.compass.fitted else None,
+            barometer=initial_barometer(c.barometer, streams) if c.barometer.fitted else None,
             belief=self.initial_belief(batch),
             extensions=self.initial_extensions(batch),
             guard=None if self._guard is None else self._guard.initial(batch),
@@ -446,15 +449,18 @@ class Navigator:
         else:
             effects = _no_effects(self.batch, sky.satellites)
         at_antenna = truth.at(*self._lever_m) if any(self._lever_m) else truth
-        return self._with_body(self._instruments.sense(self.state, sky, self.mask, at_antenna, effects), truth, effects)
+        measured = self._instruments.sense(self.state, sky, self.mask, at_antenna, effects)
+        return self._with_body(measured, truth, at_antenna, effects)
 
-    def _with_body(self, m: Measurements, truth: Truth, effects: FaultEffects) -> Measurements:
-        """The measurements with those of the chassis and of the compass, where they are fitted."""
+    def _with_body(self, m: Measurements, truth: Truth, at_antenna: Truth, effects: FaultEffects) -> Measurements:
+        """The measurements with those of chassis, compass and barometer, where they are fitted."""
         c, s = self.config, self.state
         if s.chassis is not None:
             m = replace(m, chassis=sample_chassis(c.chassis, s.chassis, truth, effects, s.streams))
         if s.compass is not None:
             m = replace(m, compass=sample_compass(c.compass, s.compass, truth, s.streams))
+        if s.barometer is not None:
+            m = replace(m, barometer=sample_barometer(c.barometer, s.barometer, at_antenna, s.streams))
         return m
 
     def _require_fitting(self, truth: Truth) -> None:

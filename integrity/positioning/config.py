@@ -345,6 +345,12 @@ class ModeConfig(Config):
     rtk_max_hdop: float = Field(3.0, gt=0, description="HDOP for RTK [-]; S1 table 1")
     doppler_agreement_mps: float = Field(0.5, gt=0, description="Doppler against odometer speed [m/s]; S1 table 1")
     doppler_max_hdop: float = Field(1.5, gt=0, description="HDOP for Doppler positioning [-]; S1 table 1")
+    doppler_max_sdop: float | None = Field(
+        None,
+        gt=0,
+        description="SDOP for Doppler positioning, 1 sigma of the speed over that of one range rate at the zenith [-]; "
+        "S1 section 6, S5 eq 5; none: no limit",
+    )
     doppler_max_s: float = Field(60.0, gt=0, description="longest Doppler positioning without RTK [s]; S1 section 5")
     doppler_when: Literal["tighter", "usable"] = Field(
         "tighter",
@@ -537,6 +543,7 @@ def mode_parameters(config: ModeConfig, odometer_follows: bool = True) -> Record
         rtk_max_hdop=config.rtk_max_hdop,
         doppler_agreement=config.doppler_agreement_mps,
         doppler_max_hdop=config.doppler_max_hdop,
+        doppler_max_sdop=np.inf if config.doppler_max_sdop is None else config.doppler_max_sdop,
         doppler_max_s=config.doppler_max_s,
         doppler_if_tighter=config.doppler_when == "tighter" and odometer_follows,
     )

@@ -99,4 +99,4 @@ def _report_state(v: int, vehicle: Any, w: Any, out: Outputs) -> None:
     out.satellites[v], out.satellites_doppler[v] = w.fixed.satellites, w.satellites_doppler
     out.excluded[v] = w.excluded + w.fixed.excluded + w.excluded_doppler
     out.since_rtk[v], out.since_calibration[v] = vehicle.since_rtk, vehicle.since_calibration
-    out.wrong[v] = w.fixed.wrong
+    out.wrong[v], out.sdop[v] = w.fixed.wrong, w.sdop

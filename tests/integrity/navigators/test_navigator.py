@@ -647,7 +647,7 @@ def test_levels_in_a_tunnel_are_those_of_the_plain_form() -> None:
             by_heading_m=np.stack([g["cth_e"], g["cth_n"]], -1),
             by_speed_m=np.stack([g["cv_e"], g["cv_n"]], -1),
             by_axle_m=np.stack([g["axle_e"], g["axle_n"]], -1),
-            box_m=np.stack([g["box_e"] + start["bias_e"][:, r], g["box_n"] + start["bias_n"][:, r]], -1),
+            box_m=np.stack([g["box_e"] + start["bias_first"][:, r], g["box_n"] + start["bias_second"][:, r]], -1),
         )
         config = RiskConfig(variant=case.variant, unmonitored_risk=wrong)
         expected = protection_levels_dead(growth, run.heading_rad[-1], config, [case.integrity_risk])[:, 0]
