@@ -10,9 +10,27 @@ from lanebound.integrity.core.config import Config, preset_names
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import FILES, load_file, load_preset, nearest
 
-__all__ = ["load_named"]
+__all__ = ["load_named", "require_named"]
 
 C = TypeVar("C", bound=Config)
+
+
+def require_named(what: str, folder: str, name: str, called: str | None = None) -> str:
+    """The name of a preset without its folder.
+
+    Raises
+    ------
+    ConfigError
+        The preset does not exist, or is of another kind than ``called``.
+    """
+    presets = [preset for preset in preset_names() if preset.startswith(folder)]
+    known = [p.removeprefix(folder) for p in presets if called is None or load_preset(p).get("kind") == called]
+    short = name.removeprefix(folder)
+    if short not in known:
+        raise ConfigError(
+            f"{what} '{name}' is unknown: {nearest(short, known)} (or the path of a YAML file of your own)"
+        )
+    return short
 
 
 def load_named(
@@ -34,11 +52,4 @@ def load_named(
     changes = overrides or {}
     if name.endswith(FILES):
         return kind.build(load_file(Path(name), what, called or what), changes)
-    presets = [preset for preset in preset_names() if preset.startswith(folder)]
-    known = [p.removeprefix(folder) for p in presets if called is None or load_preset(p).get("kind") == called]
-    short = name.removeprefix(folder)
-    if short not in known:
-        raise ConfigError(
-            f"{what} '{name}' is unknown: {nearest(short, known)} (or the path of a YAML file of your own)"
-        )
-    return kind.preset(folder + short, changes)
+    return kind.preset(folder + require_named(what, folder, name, called), changes)

@@ -111,7 +111,7 @@ class EnvConfig(Config):
     @model_validator(mode="before")
     @classmethod
     def _navigator_is_observed(cls, data: Any) -> Any:
-        """What services, context monitor and filter of the navigator report has entries in the observation."""
+        """What services, context monitor, filter and limits of the navigator report has entries in the observation."""
         if not isinstance(data, Mapping) or not isinstance(data.get("observation", {}), Mapping):
             return data
         try:
@@ -125,6 +125,7 @@ class EnvConfig(Config):
             "services": _services_in(navigator),
             "context": _has_context(navigator),
             "filters": navigator.get("kind") == "filter",
+            "speed_geometry": _limits_sdop(navigator),
         }
         changed = {name: value for name, value in shown.items() if value or observation.get(name)}
         return {**data, "observation": {**observation, **changed}} if changed else data
@@ -185,6 +186,13 @@ def _services_in(navigator: Mapping[str, Any]) -> tuple[str, ...]:
     if not isinstance(names, list | tuple):
         return ()
     return tuple(str(name).rpartition(":")[2] for name in names if name != "rtk")
+
+
+def _limits_sdop(navigator: Mapping[str, Any]) -> bool:
+    """Whether a navigator's data limit the speed dilution of precision."""
+    modes = navigator.get("positioning", {})
+    modes = modes.get("mode", {}) if isinstance(modes, Mapping) else {}
+    return isinstance(modes, Mapping) and modes.get("doppler_max_sdop") is not None
 
 
 def _has_context(navigator: Mapping[str, Any]) -> bool:

@@ -59,7 +59,7 @@ class EgoBelief:
     hdop, satellites, satellites_doppler, excluded : as in Solution
     since_rtk_s, since_calibration_s, corrections_age_s : inf for never
     context_warning, context_phases, context_score, link_probability : of the context monitor; 0 without one
-    model_curved, nis_position, nis_wheels, trust_m : as in Solution
+    model_curved, nis_position, nis_wheels, trust_m, sdop : as in Solution
     """
 
     time_s: float
@@ -97,6 +97,7 @@ class EgoBelief:
     nis_position: float
     nis_wheels: float
     trust_m: float
+    sdop: float
     context_warning: bool = False
     context_phases: int = 0
     context_score: float = 0.0

@@ -190,10 +190,12 @@ def place_counts(
     An epoch without truth does not count. An alarm is false if the position is within the largest alert limit.
     """
     begun = time.perf_counter()
-    v = watch(tracked.epochs, kind.config(changes), config.risks)
+    v = watch(tracked.epochs, kind.config({"vertical": True, **changes}), config.risks)
     cost_us = 1e6 * (time.perf_counter() - begun) / max(tracked.epochs.count, 1)
-    error = np.hypot(*(v.position_enu_m - tracked.truth_enu_m)[:, :2].T)
+    off = v.position_enu_m - tracked.truth_enu_m
+    error, height = np.hypot(*off[:, :2].T), np.abs(off[:, 2])
     level, usable = v.hpl_m[:, config.operative], v.usable & tracked.known
+    upward = np.isfinite(v.vpl_m).any(-1) & usable
     limits = np.array(config.alert_limits_m)
     available = usable[:, None] & (level[:, None] <= limits)
     alarm = v.alarm & tracked.known
@@ -202,6 +204,8 @@ def place_counts(
         "usable": usable,
         "exceed": usable[:, None] & (error[:, None] > v.hpl_m),
         "levels": usable & np.isfinite(level),
+        "upward": upward,
+        "exceed_up": upward & (height > v.vpl_m[:, config.operative]),
         "alarms": alarm,
         "false_alarms": alarm & (error <= limits[-1]),
         "available": available,
@@ -218,6 +222,7 @@ def place_counts(
         "sample_error_m": np.round(error[shown], 3).tolist(),
         "sample_level_m": np.round(np.minimum(level, NO_LEVEL_M)[shown], 3).tolist(),
         "sample_usable": usable[shown].tolist(),
+        "sample_vpl_m": np.round(np.minimum(v.vpl_m[:, config.operative], NO_LEVEL_M)[shown], 3).tolist(),
     }
 
 
@@ -247,8 +252,8 @@ def _figures(config: MonitorsConfig, parts: Sequence[Mapping[str, Any]]) -> dict
 
     epochs, usable, total = joined("epochs"), joined("usable"), max(int(joined("epochs").sum()), 1)
     exceed, hmi, available = joined("exceed"), joined("hmi"), joined("available")
-    error, level, good = (np.concatenate([np.asarray(part[f"sample_{name}"]) for part in parts])
-                          for name in ("error_m", "level_m", "usable"))  # fmt: skip
+    error, level, up, good = (np.concatenate([np.asarray(part[f"sample_{name}"]) for part in parts])
+                              for name in ("error_m", "level_m", "vpl_m", "usable"))  # fmt: skip
     good = good.astype(bool)
     return {
         "usable": float(usable.sum() / total),
@@ -261,6 +266,8 @@ def _figures(config: MonitorsConfig, parts: Sequence[Mapping[str, Any]]) -> dict
                       for a, limit in enumerate(config.alert_limits_m)},
         "hmi": {f"{limit:g}": rate_by_street(hmi[:, a], epochs) for a, limit in enumerate(config.alert_limits_m)},
         "level_m": _quantiles(level[good]),
+        "vpl_m": _quantiles(up[good]) if joined("upward").any() else None,
+        "exceed_up": rate_by_street(joined("exceed_up"), joined("upward")),
         "error_m": _quantiles(error[good]),
         "cost_us": float(np.mean([part["cost_us"] for part in parts])),
         "sample_error_m": error[good].tolist(),
@@ -286,16 +293,19 @@ def monitor_rows(config: MonitorsConfig, place: Mapping[str, Any], bands: bool =
     for name, f in place["monitors"].items():
         rates = [_over(f["exceed"][key], float(key), bands) for key in f["exceed"]]
         level = "-" if f["level_m"] is None else " / ".join(_metres(v) for v in f["level_m"])
+        up = "-" if f["vpl_m"] is None else " / ".join(_metres(v) for v in f["vpl_m"])
+        up += "" if f["vpl_m"] is None else f", {_over(f['exceed_up'], config.risks[config.operative], bands)}"
         error = "-" if f["error_m"] is None else " / ".join(_metres(v) for v in f["error_m"])
         shares = [f"{100.0 * f['available'][limit]:.0f}" for limit in shown]
         hmi = max(f["hmi"][limit]["rate"] for limit in limits)
         rows.append((
-            name, *rates, level, error, " / ".join(shares), f"{100.0 * f['usable']:.0f}",
+            name, *rates, level, up, error, " / ".join(shares), f"{100.0 * f['usable']:.0f}",
             f"{100.0 * f['alarms']:.1f} ({100.0 * f['false_alarms']['rate']:.1f})", f"{hmi:.2g}", f"{f['cost_us']:.0f}",
         ))  # fmt: skip
     heads = (
         "monitor", *(f"at {key}" for key in next(iter(place["monitors"].values()))["exceed"]), f"HPL at {risk} [m]",
-        "error [m]", f"at AL {' / '.join(shown)} m [%]", "usable [%]", "alarms (false) [%]", "HMI", "us",
+        "VPL [m], over risk", "error [m]",
+        f"at AL {' / '.join(shown)} m [%]", "usable [%]", "alarms (false) [%]", "HMI", "us",
     )  # fmt: skip
     return heads, rows
 

@@ -17,7 +17,7 @@ __all__ = ["measure"]
 SATELLITES, SYSTEMS, EPOCHS = 30, 4, 4096
 GATE = 1e5  # epochs/s of snapshot monitors that have one solution and a closed level; issue 25
 GATED = ("residual", "weighted", "ibpl", "sbas")
-SHOWN = (*GATED, "residual_fde", "separation_root", "araim", "p_ransac", "igg3")
+SHOWN = (*GATED, "residual_fde", "separation", "separation_root", "odds", "araim", "p_ransac", "igg3")
 FEWER = {"p_ransac": 64, "araim": 256}
 
 

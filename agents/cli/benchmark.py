@@ -58,7 +58,14 @@ def benchmark(
 
     Example: lanebound benchmark standard --out out/mine --agents nominal,mine=runs/model.zip --seeds 20 --budget 2
     """
-    carry_out(lambda: _suite(suite, agents, seeds, changes(assignments)), out, fresh, jobs, budget, full, as_json)
+    from lanebound.agents.cli.early import refuse_preset
+    from lanebound.agents.cli.keys import refuse_keys
+
+    given = changes(assignments)
+    if not _plugins:
+        refuse_keys("suite", given)
+    refuse_preset("suite", "suites/", suite)
+    carry_out(lambda: _suite(suite, agents, seeds, given), out, fresh, jobs, budget, full, as_json)
 
 
 def carry_out(

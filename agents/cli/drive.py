@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lanebound.agents.cli.drive_tables import position_of, print_report
 from lanebound.agents.cli.options import (
     AsJson,
     Assignments,
@@ -28,7 +29,7 @@ from lanebound.agents.cli.output import counted
 from lanebound.agents.drivers import AGENTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from lanebound.agents.benchmark.outcome import Outcome
     from lanebound.agents.checkpointing.runner import OnProgress
@@ -38,12 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = ["drive"]
 
-WEIGHTED = "cost, weighted"
 LOG, COLUMNS, DIAGRAM, WARNINGS = "episodes.parquet", "columns.md", "stanford.png", "warnings.csv"
-MEANT = (
-    "Success: no crash, still on the road, fast enough; it does not depend on cost.\n"
-    "Harm: 50 for a crash or an end off the road, and m2 of the body beyond its lane."
-)
 AGENT_HELP = f"Agent: {', '.join(AGENTS)} (see 'lanebound agents'); FILE.zip, .onnx, .npz, or module:callable."
 
 
@@ -58,7 +54,8 @@ def drive(
     fps: Fps = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for {LOG}, {COLUMNS} and {DIAGRAM}.")] = None,
     display: Annotated[
-        bool, typer.Option("--display", help=f"Monitor codes, speed and road; a light in the film, {WARNINGS} in DIR.")
+        bool,
+        typer.Option("--display", help=f"Monitor position, speed, road; a light in the film, {WARNINGS} in DIR."),
     ] = False,
     assignments: Assignments = None,
     _plugins: Plugins = None,
@@ -66,13 +63,16 @@ def drive(
 ) -> None:
     """Drive with an agent, and print return, costs and the quality of its position.
 
+    With a context monitor (--display, or navigator.context among --set) DIR has a log of its warnings.
+
     Example: lanebound drive LaneKeeping --sky dense --faults stress --seed 1 --video out/drive.mp4 --out out/drive
     """
-    from lanebound.agents.cli.early import refuse_early
+    from lanebound.agents.cli.early import refuse_early, refuse_film
 
-    if not _plugins:
-        refuse_early(name, agent, sky, faults)
     given = changes(assignments, sky=sky, faults=faults)
+    if not _plugins:
+        refuse_early(name, agent, sky, faults, given)
+    refuse_film(video)
     from lanebound.agents.cli.progress import resumable, with_bar
 
     finished: list[int] = []
@@ -82,8 +82,8 @@ def drive(
         drove = with_bar("episodes", lambda report: _drive(name, agent, changed, seeds, film, out, finished, report,
                                                            display))  # fmt: skip
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
-    files["warnings"] = out / WARNINGS if display and out else None
-    _report(f"{agent} in {name}", *drove, files, as_json)
+    files["warnings"] = out / WARNINGS if out and (out / WARNINGS).is_file() else None
+    print_report(f"{agent} in {name}", *drove, files, as_json)
 
 
 def _with_context(changed: dict[str, Any], display: bool) -> dict[str, Any]:
@@ -135,8 +135,11 @@ def _drive(
     finished: list[int],
     on_progress: OnProgress,
     display: bool = False,
-) -> tuple[list[Outcome], float | None]:
-    """Outcomes of the episodes, and the limit of the cost; all refusals come before the first progress."""
+) -> tuple[list[Outcome], dict[str, dict[str, float | None]], float | None]:
+    """Outcomes of the episodes, errors and levels of the position, and the limit of the cost.
+
+    All refusals come before the first progress.
+    """
     from lanebound.agents.benchmark.episode import allotted_s
     from lanebound.agents.benchmark.outcome import Place, Task
     from lanebound.agents.benchmark.scoring import outcome_of
@@ -154,8 +157,8 @@ def _drive(
         _claim(out)
     length_s = float(env.world.config.get("duration") or math.inf)
     watchers: list[Any] = [log, EpisodeProgress(Counter(on_progress, RunProgress(len(seeds))), length_s)]
-    shown: Any = DriverDisplay(env) if display else None
-    watchers += [shown] if display else []
+    shown: Any = DriverDisplay(env) if env.config.observation.context else None
+    watchers += [shown] if shown is not None else []
 
     def keep(episode: int) -> None:
         if out is not None:
@@ -165,9 +168,9 @@ def _drive(
     with ExitStack() as stack:
         stack.callback(env.close)
         if film[0] is not None:
-            watchers.append(stack.enter_context(Film(shown or env, film[0], film[1])))
+            watchers.append(stack.enter_context(Film(shown if display else env, film[0], film[1])))
         drive_all(env, driver, list(seeds), watchers, keep)
-    if display:
+    if shown is not None:
         _tell(shown, out)
     if out is not None:
         driven = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
@@ -178,7 +181,7 @@ def _drive(
         outcome_of(log.episode(i), allotted_s(env), Task(place, agent, seed), cost_limit=env.config.cost_limit)
         for i, seed in enumerate(seeds)
     ]
-    return outcomes, env.config.cost_limit
+    return outcomes, position_of(log.rows), env.config.cost_limit
 
 
 def _tell(shown: DriverDisplay, out: Path | None) -> None:
@@ -186,7 +189,7 @@ def _tell(shown: DriverDisplay, out: Path | None) -> None:
     if out is not None:
         shown.write(out / WARNINGS)
     lit = ", ".join(f"{light} {seconds:.0f} s" for light, seconds in shown.seconds.items())
-    typer.echo(f"display: {lit}; it changed {counted(shown.changes, 'time')}", err=True)
+    typer.echo(f"light: {lit}; it changed {counted(shown.changes, 'time')}", err=True)
 
 
 def _claim(out: Path) -> None:
@@ -195,6 +198,7 @@ def _claim(out: Path) -> None:
 
     ResultFolder(out, "drive").claim()
     (out / COLUMNS).write_text(describe_columns(), encoding="utf-8")
+    (out / WARNINGS).unlink(missing_ok=True)  # of a drive before
 
 
 class EpisodeProgress:
@@ -224,89 +228,3 @@ def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:
     limits = alert_limits_m(env.world, env.config)
     figure = stanford_figure(log.to_record(env.dt_s), *limits, title=title, counted="decisions")
     save(figure, out / DIAGRAM)
-
-
-def _report(
-    who: str, outcomes: list[Outcome], limit: float | None, files: dict[str, Path | None], as_json: bool
-) -> None:
-    from lanebound.agents.cli.output import print_json, print_table
-
-    written = {what: str(path) for what, path in files.items() if path is not None}
-    if as_json:
-        episodes = [outcome.to_dict() for outcome in outcomes]
-        print_json({"episodes": episodes, "all": measures(outcomes), "cost_limit": limit, "files": written})
-        return
-    columns = ("seed", "ended by", "time [s]", "return", "cost", "success", "available", "HMI")
-    print_table(f"{who}: {counted(len(outcomes), 'episode')}", columns, map(_line, outcomes))
-    over = "" if len(outcomes) == 1 else f", means over {len(outcomes)} episodes"
-    lines = ((*_label(key), _value(key, value, limit)) for key, value in measures(outcomes).items())
-    print_table(f"Measures{over}", ("measure", "unit", "value"), lines)
-    typer.echo(MEANT)
-    for what, path in written.items():
-        typer.echo(f"{what}: {path}")
-
-
-def measures(outcomes: Sequence[Outcome]) -> dict[str, float]:
-    """Means over episodes; shares are of the steps of all episodes together."""
-    import numpy as np
-
-    from lanebound.agents.benchmark.metrics import harm_of
-    from lanebound.envs.costs import CAUSES
-
-    steps = np.array([o.steps for o in outcomes], dtype=np.float64)
-    weight = steps / max(float(steps.sum()), 1.0)
-
-    def mean(name: str) -> float:
-        return float(np.mean([getattr(o, name) for o in outcomes]))
-
-    def of_steps(shares: Sequence[float | None]) -> float:
-        return float(np.dot(weight, [share or 0.0 for share in shares]))
-
-    modes = sorted({mode for o in outcomes for mode in o.mode_shares})
-    return {
-        "success rate": mean("success"),
-        "collision rate": mean("collision"),
-        "return": mean("total_return"),
-        "harm": float(np.mean([harm_of(o) for o in outcomes])),
-        "cost": mean("cost"),
-        **{cause: float(np.mean([o.costs[cause] for o in outcomes])) for cause in CAUSES},
-        **{f"share of {mode}": of_steps([o.mode_shares.get(mode, 0.0) for o in outcomes]) for mode in modes},
-        "availability": of_steps([o.availability for o in outcomes]),
-        "alert share": of_steps([o.alert_share for o in outcomes]),
-        "MI steps": float(sum(o.mi_steps for o in outcomes)),
-        "HMI steps": float(sum(o.hmi_steps for o in outcomes)),
-    }
-
-
-def _label(measure: str) -> tuple[str, str]:
-    """A measure and its unit: the cost is a weighted sum, its causes are unweighted."""
-    from lanebound.agents.cli.listing import INFO
-
-    if measure == "cost":
-        return WEIGHTED, ""
-    if measure.startswith("cost_"):
-        _, bracket, unit = INFO[measure].rpartition("[")
-        return f"{measure}, unweighted", unit.rstrip("]") if bracket else ""
-    return measure, "steps" if measure.endswith("steps") else ""
-
-
-def _value(measure: str, value: float, limit: float | None) -> str:
-    """A value in three decimals; the cost beside its limit."""
-    text = f"{round(value, 3):g}"
-    return f"{text}, {_against(value, limit)}" if measure == "cost" and limit else text
-
-
-def _against(cost: float, limit: float) -> str:
-    """A cost in terms of its limit.
-
-    >>> _against(196.9, 15.0), _against(18.0, 15.0), _against(3.0, 15.0)
-    ('13 x the limit 15', '1.2 x the limit 15', 'within the limit 15')
-    """
-    if cost <= limit:
-        return f"within the limit {limit:g}"
-    return f"{cost / limit:{'.2g' if cost < 100.0 * limit else '.0f'}} x the limit {limit:g}"
-
-
-def _line(s: Outcome) -> tuple[Any, ...]:
-    ended = (s.seed, s.ended, round(s.time_s, 1), round(s.total_return, 1), round(s.cost, 1), s.success)
-    return (*ended, f"{s.availability or 0.0:.1%}", s.hmi_steps)

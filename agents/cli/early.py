@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 from lanebound.agents.drivers import AGENTS, unknown_agent
 
-__all__ = ["FAULTS", "SKIES", "refuse_early"]
+__all__ = ["FAULTS", "SKIES", "refuse_early", "refuse_film", "refuse_preset"]
 
 FILES = (".zip", ".onnx", ".npz", ".csv", ".yaml", ".yml")
 SKIES = ("open", "suburban", "urban", "dense")
@@ -12,9 +16,15 @@ FAULTS = ("none", "nominal", "stress")
 
 
 def refuse_early(
-    env: str | None = None, agent: str | None = None, sky: str | None = None, faults: str | None = None
+    env: str | None = None,
+    agent: str | None = None,
+    sky: str | None = None,
+    faults: str | None = None,
+    changes: Mapping[str, Any] | None = None,
 ) -> None:
-    """Refuse the name of an environment, agent, sky or level of faults that cannot exist; a file is checked later.
+    """Refuse the name of an environment, agent, sky, file or level of faults that does not exist.
+
+    ``changes`` of an environment's configuration are refused for unknown keys and numbers out of bounds.
 
     An environment with a module (``package:id``) or with a version may be registered elsewhere, and passes.
 
@@ -25,12 +35,43 @@ def refuse_early(
     """
     if env is not None:
         _require_env(env)
-    if agent is not None and agent not in AGENTS and not agent.endswith(FILES) and ":" not in agent:
-        raise unknown_agent(agent)
-    if sky is not None and not sky.endswith(FILES) and "/" not in sky:
+    if agent is not None and agent not in AGENTS and ":" not in agent:
+        if not agent.endswith(FILES):
+            raise unknown_agent(agent)
+        _require_file("agent", agent, "correct the path")
+    if sky is not None and sky.endswith(".csv"):
+        _require_file("sky", sky, "make it by 'lanebound record-sky'")
+    elif sky is not None and not sky.endswith(FILES) and "/" not in sky:
         _require("sky", sky, SKIES, ", or a file", " (files: .csv of 'lanebound record-sky', .yaml of your own)")
+    if changes:
+        from lanebound.agents.cli.keys import refuse_keys
+
+        refuse_keys("environment", changes)
     if faults is not None:
         _require("faults", faults, FAULTS)
+
+
+def refuse_film(video: Path | None) -> None:
+    """Refuse the name of a film that is no .mp4."""
+    if video is not None and video.suffix != ".mp4":
+        from lanebound.integrity.core.errors import InputError
+
+        raise InputError(f"video must end in .mp4, got {video.name}: rename it")
+
+
+def _require_file(what: str, name: str, remedy: str) -> None:
+    from lanebound.integrity.core.errors import InputError
+
+    if not Path(name).is_file():
+        raise InputError(f"{what} must be a file that exists, got {name}: {remedy}")
+
+
+def refuse_preset(what: str, folder: str, name: str, called: str | None = None) -> None:
+    """Refuse a preset that does not exist, as :func:`~lanebound.agents.presets.load_named`; files are read later."""
+    if not name.endswith((".yaml", ".yml")):
+        from lanebound.agents.presets import require_named
+
+        require_named(what, folder, name, called)
 
 
 def _require_env(name: str) -> None:

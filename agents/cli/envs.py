@@ -39,11 +39,12 @@ def envs(
         return
     from lanebound.agents.cli.early import refuse_early
 
+    given = changes(assignments)
     if not plugins:
-        refuse_early(name)
+        refuse_early(name, changes=given)
     from lanebound.agents.episodes.opening import open_env
 
-    env = open_env(name, changes(assignments))
+    env = open_env(name, given)
     if as_json:
         print_json(_details(env))
     else:

@@ -25,8 +25,9 @@ def play(
     """
     from lanebound.agents.cli.early import refuse_early
 
+    given = changes(assignments, sky=sky, faults=faults)
     if not _plugins:
-        refuse_early(name, None, sky, faults)
+        refuse_early(name, None, sky, faults, given)
     from lanebound.agents.benchmark.scoring import outcome_of
     from lanebound.agents.drivers.keyboard import HELP
     from lanebound.agents.episodes import EpisodeLog, open_env
@@ -34,7 +35,7 @@ def play(
     from lanebound.agents.episodes.play import require_display
     from lanebound.integrity.core.presets import deep_merge
 
-    changed = deep_merge({"policy_hz": PLAY_HZ}, changes(assignments, sky=sky, faults=faults))
+    changed = deep_merge({"policy_hz": PLAY_HZ}, given)
     open_env(name, changed)
     require_display()
     log = EpisodeLog()

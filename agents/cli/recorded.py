@@ -30,7 +30,12 @@ FAR_M = 1000.0  # between the given position of a base and that of its header, w
 
 
 def replay(
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder: smartLoc, comma2k19, or a RINEX pair.")],
+    dataset: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DATASET", help="Folder: smartLoc, comma2k19, inertial log with a .pos, or a RINEX pair."
+        ),
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figures and for replay.json or rtk.json.")],
     service: Annotated[
         str | None,
@@ -43,12 +48,17 @@ def replay(
             help="A filter on vehicle models in place of the method of the data set: filter, or a preset as imm_s4.",
         ),
     ] = None,
+    context: Annotated[
+        Path | None,
+        typer.Option(metavar="MAP.geojson", help="Judge position, speed and road on this map by the context monitor."),
+    ] = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
     """Replay a recorded drive: positions, protection levels, exclusions and alerts against the truth.
 
-    smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages. A RINEX pair:
+    smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages.
+    NAME.csv of an IMU with NAME.csv.tag and one .pos of RTKLIB: the same by gyros and accelerometers. A RINEX pair:
     RTK. Its files are told apart by their names (rover, base) or by which receiver moves. docs/navigation.md says where
     to get the recordings.
 
@@ -56,9 +66,14 @@ def replay(
     base of a RINEX pair; others need corrections that no recording holds. --set then changes the navigator, such as
     services.spp.smoothing_s=100.
 
+    With --context the context monitor judges the drive on a road map in GeoJSON, such as an export of OpenStreetMap; a
+    phase that the recording does not allow is skipped, and named. --set then changes the monitor, such as
+    matching.kind=hidden_markov or map_errors.missing=0.1.
+
     Keys for --set, of smartLoc: every, first, training_share, solution.*, alerts.*; of comma2k19: every_s, longest_s,
-    heading_error_deg, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*, fde.*, risk.*; with
-    --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
+    heading_error_deg, bridge.*; of an inertial log: longest_s, every_s, rest_s, calibration_s, settle_s,
+    acceleration_bias_mps2, pitch_drift_degps, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*,
+    fde.*, risk.*; with --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
 
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
@@ -67,12 +82,22 @@ def replay(
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
-    if service is not None and navigator is not None:
-        raise InputError(f"--navigator must be left out with --service, got {navigator}: give one of them")
+    methods = {"--service": service, "--navigator": navigator, "--context": context}
+    given = [f"{option} {value}" for option, value in methods.items() if value is not None]
+    if len(given) > 1:
+        raise InputError(f"one of {', '.join(methods)} may be given, got {' and '.join(given)}: leave out the others")
     names = [name.strip() for name in service.split(",")] if service is not None else []
-    kind = "drive on a service" if names else "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
+    kind = (
+        "context monitor"
+        if context
+        else "drive on a service"
+        if names
+        else "RTK solution"
+        if kind_of(dataset) == "rinex"
+        else "replayed drive"
+    )
     found, written = _solve(
-        out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, names, navigator)
+        out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, names, navigator, context)
     )
     if as_json:
         print_json(found)
@@ -313,6 +338,31 @@ def _print_service(found: dict[str, Any]) -> None:
         typer.echo(found["caution"])
 
 
+def _print_context(found: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+
+    rows = [(key, found[key]) for key in ("recording", "epochs", "located", "matched")]
+    rows += [(f"map, {key}", value) for key, value in found["roads"].items()]
+    rows += [(f"{light} s", seconds) for light, seconds in found["light_s"].items()]
+    rows += [(f"epochs {reason}", count) for reason, count in found["reasons"].items()]
+    rows += [(f"HPL {key}", value) for key, value in found.get("level", {}).items()]
+    rows += [(f"error {key}", value) for key, value in found.get("error", {}).items()]
+    print_table("Context monitor", ("", "value"), rows)
+    for phase, reason in found["skipped"].items():
+        typer.echo(f"{phase} phase skipped: {reason}.")
+    for note in found["notes"]:
+        typer.echo(f"note: {note}.")
+    if "rates" not in found:
+        return
+    head = ("rule", "points", "wrong", "false alarms", "missed", "OCDR")
+    counts = [(name, c) for name, c in found["rates"].items() if isinstance(c, dict)]
+    print_table("Warnings against the reference", head, [
+        (name, c["points"], c["wrong"], c["false_alarms"], c["missed"], f"{100.0 * c['ocdr']:.1f} %")
+        for name, c in counts
+    ])  # fmt: skip
+    typer.echo(found["caution"])
+
+
 def _print_filter(found: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
 
@@ -332,7 +382,14 @@ def _print_filter(found: dict[str, Any]) -> None:
     typer.echo(found["caution"])
 
 
+def _print_inertial(found: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+
+    print_table("The sensor in the vehicle", ("", "value"), list(found["calibration"].items()))
+    _print_outages(found)
+
+
 _PRINTERS = {
-    "service": _print_service, "filter": _print_filter, "smartloc": _print_city, "comma2k19": _print_outages,
-    "rinex": _print_rtk,
+    "context": _print_context, "service": _print_service, "filter": _print_filter, "smartloc": _print_city,
+    "comma2k19": _print_outages, "imu_log": _print_inertial, "rinex": _print_rtk,
 }  # fmt: skip

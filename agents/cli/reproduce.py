@@ -155,6 +155,7 @@ def context(
         return
     print_table("Overall correct detection rate; medians over drives, 5 to 95 %", *made.ocdr_rows(tables))
     print_table("By what the receiver uses and declares", *made.assumption_rows(tables))
+    print_table("Why the driver is warned, shares of all points", *made.reason_rows(tables))
     print_table("What each phase adds, and naive rules", *made.rule_rows(tables))
     print_table("Matchers, with the true map and with one that has errors", *made.matcher_rows(tables))
     print_table("Speed phase: windows warned of", *made.speed_rows(tables))

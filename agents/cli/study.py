@@ -29,6 +29,9 @@ def study(
 
     Example: lanebound study value_of_integrity --out out/study --jobs 2 --budget 8
     """
+    from lanebound.agents.cli.early import refuse_preset
+
+    refuse_preset("study", "studies/", name, "learning_study")
     from lanebound.agents.cli.progress import resumable, with_bar
     from lanebound.agents.learning.study import load_study, plan, run_learning_study
     from lanebound.agents.learning.study_time import study_hours

@@ -42,11 +42,18 @@ def train(
 
     Example: lanebound train lane_keeping_ppo_lagrangian --out out/learnt --set steps=100000
     """
+    from lanebound.agents.cli.early import refuse_preset
+    from lanebound.agents.cli.keys import refuse_keys
+
+    given = changes(assignments)
+    if not _plugins:
+        refuse_keys("experiment", given)
+    refuse_preset("experiment", "experiments/", name)
     from lanebound.agents.cli.progress import resumable, with_bar
     from lanebound.agents.learning.experiment import load_experiment
     from lanebound.agents.learning.imitation import teacher_of
 
-    experiment = load_experiment(name, changes(assignments))
+    experiment = load_experiment(name, given)
     if teacher_of(experiment) is None:  # which opens the environment: refusals come before the work
         experiment.open().close()
     with resumable(lambda: _kept(out)):

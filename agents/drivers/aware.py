@@ -15,6 +15,7 @@ from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_ou
 from lanebound.agents.drivers.plans import following_acceleration, nearest_ahead
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Field
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["AwareConfig", "IntegrityAware", "make_integrity_aware"]
 
@@ -34,6 +35,11 @@ class AwareConfig(RssConfig):
         gt=0,
         description="without RTK under an alert until the car stops; on training seeds 12 s saved no departure and "
         "cost a sixth of the return",
+    )
+    stop_ct_m: float | None = Field(
+        None,
+        gt=0,
+        description="PL_CT under an alert from which the car stops at once; None: it stops by time alone",
     )
     grace_s: float = Field(8.0, ge=0, description="longer by this where the open sky is reached within it; chosen")
     link_s: float = Field(1.0, gt=0, description="the same where the sky is open and the link is out; chosen")
@@ -63,11 +69,21 @@ class IntegrityAware(Rss):
         *Rss.NEEDED,
         "integrity.alert",
         "integrity.corrections_age",
+        "integrity.pl_ct",
         "integrity.ratio_at",
         "integrity.ratio_ct",
         "integrity.since_rtk",
     )
     config: AwareConfig
+
+    def __init__(self, env: DrivingEnv, config: AwareConfig) -> None:
+        super().__init__(env, config)
+        most = self.reader.scale("integrity.pl_ct")
+        if config.stop_ct_m is not None and config.stop_ct_m > most:
+            raise ConfigError(
+                f"stop_ct_m must be <= {most:g}, the largest level in the observation, got {config.stop_ct_m:g}: lower "
+                "it, or raise observation.pl_max_m"
+            )
 
     def margins(self, observation: Observation) -> tuple[Array | float, Array | float]:
         """The combined levels, across the track up to a bound."""
@@ -99,14 +115,17 @@ class IntegrityAware(Rss):
         return np.where(alert & over, 0.0, np.where(alert, np.minimum(wanted, slow), wanted))
 
     def _overdue(self, observation: Observation, slow_mps: Array) -> NDArray[np.bool_]:
-        """Where RTK has been missing for too long, and the open sky is not near enough."""
+        """Where RTK has been missing for too long and no open sky is near, or the level across is too large."""
         c, since = self.config, self.reader.value(observation, "integrity.since_rtk")
         unlinked = self.reader.value(observation, "integrity.corrections_age") > c.link_age_s
         sky = self._sky(observation, "own")
         enough = (sky[..., :1] >= c.satellites_needed - 0.5).any(axis=-1)
         out_s = self._open(observation) / slow_mps
         reaches = ~enough & (out_s <= c.grace_s) & (since <= c.dead_reckoning_s + c.grace_s)
-        return np.where(unlinked & enough, since > c.link_s, (since > c.dead_reckoning_s) & ~reaches)
+        late = np.where(unlinked & enough, since > c.link_s, (since > c.dead_reckoning_s) & ~reaches)
+        return (
+            late if c.stop_ct_m is None else late | (self.reader.value(observation, "integrity.pl_ct") >= c.stop_ct_m)
+        )
 
     def _open(self, observation: Observation) -> Array:
         """Distance to where two points in a row have enough satellites [m]; far without any."""

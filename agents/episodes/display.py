@@ -1,4 +1,4 @@
-"""The driver's display in a drive: a light above the pictures, and a log of its changes."""
+"""The driver's display in a drive: a log of its light's changes, and the light above the pictures."""
 
 from __future__ import annotations
 

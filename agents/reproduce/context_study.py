@@ -26,7 +26,7 @@ from lanebound.integrity.assessment.warning_rates import WarningCounts, sweep_th
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.presets import deep_merge
 from lanebound.integrity.core.streams import named_generator
-from lanebound.integrity.monitoring.context.monitor import ContextConfig, ContextMonitor, ContextVerdict
+from lanebound.integrity.monitoring.context.monitor import ContextConfig, ContextMonitor, ContextReason, ContextVerdict
 from lanebound.integrity.monitoring.context.position_phase import check_position
 from lanebound.integrity.monitoring.context.speed_phase import SpeedForm, SpeedPhase, SpeedTest
 from lanebound.integrity.positioning.map_matching.generators import DriveEnvironment
@@ -51,13 +51,21 @@ S5_SKY = {"lat_deg": 52.95, "lon_deg": -1.15, "qzss": 0}
 
 
 PRINTED = {"position": {"printed_slope": True}, "codes": {"plain_hdop": True}}
-GPS = {"systems": ["GPS"]}
+GPS, DUAL = {"systems": ["GPS"]}, {"systems": ["GPS", "GALILEO"]}
+SALOS = {"position": {"alert_limit_m": 50.0, "false_alarm": 5e-3, "missed_detection": 5e-5}}
 ASSUMPTIONS: dict[str, dict[str, Any]] = {
     "GPS alone": {"codes": GPS},
+    "GPS and Galileo, limit 50 m, P_FA 5e-3, P_MD 5e-5": {**SALOS, "codes": DUAL},
+    "GPS alone, limit 50 m, P_FA 5e-3, P_MD 5e-5": {**SALOS, "codes": GPS},
+    "all systems, weak signals": {"codes": {"least_cn0_dbhz": 20.0}},
     "level as printed": PRINTED,
-    "S5: level as printed, GPS alone, weak signals": deep_merge(PRINTED, {"codes": {**GPS, "least_cn0_dbhz": 20.0}}),
+    "S5: as printed, GPS alone, weak signals": deep_merge(
+        PRINTED, {"codes": {**GPS, "least_cn0_dbhz": 20.0}, "speed": {"form": "printed"}}
+    ),
 }
-"""S5's receiver has GPS alone and tracks to -160 dBm (section 4.1). Its slope has no deviation of a code and its HDOP
+"""The rows of 50 m are those of Salos et al., whose availability S3 quotes (section IV-A).
+
+S5's receiver has GPS alone and tracks to -160 dBm (section 4.1). Its slope has no deviation of a code and its HDOP
 no weights (equations 1 and 2), so that HPL is in metres if each code has an error of 1 m; the WSSE test has weights."""
 
 
@@ -146,7 +154,9 @@ def work_part(config: ContextStudyConfig, name: str, advance: Advance = ignore) 
         for which, road_map in maps.items()
         for kind in MatcherKind
     }
-    others = {name: ContextMonitor(config.monitor, maps["with errors"], len(seeds), 1.0) for name in config.assumptions}
+    others = {
+        name: ContextMonitor(assumed, maps["with errors"], len(seeds), 1.0) for name, assumed in config.assumed.items()
+    }
     series = MonitorSeries.of(drive, table.points, monitors, others, config.monitor, advance)
     return {
         "environment": str(environment),
@@ -278,6 +288,7 @@ def _judged(
         "right": float((~wrong)[driving].mean()),
         "passed": int((get(name="phases") == 3)[driving].sum()),
         "available": float(get(name="available")[driving].mean()),
+        "reasons": np.bincount(get(name="reason")[driving], minlength=len(ContextReason)).tolist(),
         "counts": counts,
         "judged": _counted(WarningCounts.of(~get(name="map"), wrong, driving & passed)),
         "sweep": [sweep.false_alarms.tolist(), sweep.missed.tolist(), sweep.points],

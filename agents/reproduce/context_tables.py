@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lanebound.integrity.assessment.warning_rates import PUBLISHED_COUNTS, WarningCounts, WarningSweep
+from lanebound.integrity.monitoring.context.monitor import ContextReason
 
 __all__ = [
     "PRINTED_PERCENT",
@@ -15,6 +16,7 @@ __all__ = [
     "assumption_rows",
     "matcher_rows",
     "ocdr_rows",
+    "reason_rows",
     "rule_rows",
     "speed_rows",
     "summarise",
@@ -59,6 +61,7 @@ def _monitor(found: list[Mapping[str, Any]]) -> dict[str, Any]:
         "right": _spread(f["right"] for f in found),
         "available": _spread(f["available"] for f in found),
         "passed": _spread(f["passed"] / max(f["counts"]["never"][0], 1) for f in found),
+        "reasons": [int(n) for n in np.sum([f["reasons"] for f in found], 0)],
         "rules": {rule: _counts([f["counts"][rule] for f in found]) for rule in RULES},
         "judged": _counts([f["judged"] for f in found]),
         "sweep": _sweep([f["sweep"] for f in found]),
@@ -150,6 +153,17 @@ def assumption_rows(tables: Mapping[str, Any]) -> Table:
         "drive", "receiver", "HPL within limit", "three levels passed", "OCDR, warned at rest", "OCDR, all phases",
         "OCDR, third phase of points that reach it",
     ), rows  # fmt: skip
+
+
+def reason_rows(tables: Mapping[str, Any]) -> Table:
+    """Why the driver is warned: shares of all points, at rest as of their own, by what the receiver uses."""
+    names = [reason.name.lower() for reason in ContextReason]
+    rows: list[tuple[str, ...]] = []
+    for drive, env in tables["environments"].items():
+        for assumed, found in (("all systems, declared errors", env["of"][MAIN]), *env["assumptions"].items()):
+            total = max(sum(found["reasons"]), 1)
+            rows.append((drive, assumed, *(_percent(n / total) for n in found["reasons"])))
+    return ("drive", "receiver", *names), rows
 
 
 def rule_rows(tables: Mapping[str, Any]) -> Table:

@@ -53,6 +53,7 @@ class Fixes(NamedTuple):
     nis_position: Array
     nis_wheels: Array
     trust_m: Array
+    sdop: Array
 
 
 @jit(borrows=True)
@@ -68,7 +69,7 @@ def adopt(t, b, fixes, v):  # type: ignore[no-untyped-def]
     b.since_calibration_s, b.corrections_age_s = fixes.since_calibration_s[v], fixes.corrections_age_s[v]
     b.context_warning, b.context_phases = fixes.context_warning[v], fixes.context_phases[v]
     b.context_score, b.link_probability = fixes.context_score[v], fixes.link_probability[v]
-    b.model_curved, b.trust_m = fixes.model_curved[v], fixes.trust_m[v]
+    b.model_curved, b.trust_m, b.sdop = fixes.model_curved[v], fixes.trust_m[v], fixes.sdop[v]
     b.nis_position, b.nis_wheels = fixes.nis_position[v], fixes.nis_wheels[v]
 
 

@@ -117,6 +117,7 @@ BELIEF = record(
     nis_position="of the last position of a filter, 0 without",
     nis_wheels="of the last wheel speed of a filter, 0 without",
     trust_m="horizontal trust level of a filter, inf without",
+    sdop="speed dilution of precision, inf without a Doppler velocity",
 )
 
 TRACK = record(

@@ -34,6 +34,10 @@ class ObservationConfig(Config):
         description="model probability, NIS and trust level have entries; an environment sets it for navigator.kind: "
         "filter",
     )
+    speed_geometry: bool = Field(
+        False,
+        description="SDOP has an entry; an environment sets it for navigator.positioning.mode.doppler_max_sdop",
+    )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
         (5.0, 10.0, 20.0, 40.0, 80.0), description="distances ahead at which the route's centreline is given; chosen"
@@ -56,6 +60,7 @@ class ObservationConfig(Config):
     ratio_max: float = Field(3.0, gt=1, description="scale of PL / AL [-]; chosen")
     trend_window_s: float = Field(1.0, gt=0, description="period of the trend of protection levels; chosen")
     hdop_max: float = Field(10.0, gt=0, description="scale of HDOP [-]; chosen")
+    sdop_max: float = Field(10.0, gt=0, description="scale of SDOP [-]; chosen")
     satellites_max: int = Field(40, ge=1, description="scale of numbers of satellites [-]; five systems, chosen")
     nis_max: float = Field(20.0, gt=0, description="scale of NIS [-]; chosen: above the gate of positions, 13.8")
     excluded_max: int = Field(5, ge=1, description="scale of the number of excluded satellites [-]; chosen")

@@ -161,7 +161,8 @@ def _levels(c: ObservationConfig) -> list[Entry]:
         g.flag("available", "no protection level exceeds its alert limit", "view.available"),
         g.flag("alert", "the alert is on", "view.alert"),
         g.positive("alert_age", "s", most, "time since the start of the alert; 0 without an alert", "view.alert_age_s"),
-        *(g.flag(f"reason_{r.name.lower()}", r.value, f"view.reason == {r.code}") for r in AlertReason),
+        *(g.flag(f"reason_{r.name.lower()}", r.value, f"view.reason == {r.code}") for r in AlertReason
+          if r is not AlertReason.CONTEXT_WARNING or c.context),
         *(g.flag(f"mode_{m.key}", f"source of the position: {m.label}", f"belief.mode == {int(m)}")
           for m in Mode if not m.is_service or m.key in c.services),
         *(g.flag(f"rtk_{r.name.lower()}", r.value, f"belief.rtk == {r.code}") for r in RtkStatus),
@@ -178,9 +179,16 @@ def _levels(c: ObservationConfig) -> list[Entry]:
         g.positive("excluded", "", c.excluded_max, "number of satellites excluded by fault detection in this epoch",
                    "belief.excluded"),
         g.positive("hdop", "", c.hdop_max, "horizontal dilution of precision; 1 without satellites", "belief.hdop"),
+        *(_speed_geometry(c, g) if c.speed_geometry else ()),
         *(_context(g) if c.context else ()),
         *(_filters(c, g) if c.filters else ()),
     ]  # fmt: skip
+
+
+def _speed_geometry(c: ObservationConfig, g: _Group) -> list[Entry]:
+    """How well the Doppler speed is determined, and whether that is within its limit."""
+    about = "speed dilution of precision of the Doppler velocity; 1 without one"
+    return [g.positive("sdop", "", c.sdop_max, about, "belief.sdop")]
 
 
 def _context(g: _Group) -> list[Entry]:

@@ -40,6 +40,7 @@ REASONS = {
     AlertReason.INITIALISING: "initialising",
     AlertReason.NOT_CONVERGED: "not converged",
     AlertReason.HOLDING: "holding",
+    AlertReason.CONTEXT_WARNING: "context monitor warns",
 }
 
 

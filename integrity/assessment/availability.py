@@ -1,4 +1,4 @@
-"""Availability, continuity and outages of the position."""
+"""Availability and outages of the position."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.assessment.record import AXES, Record
-from lanebound.integrity.core.errors import InputError, require_in_range
+from lanebound.integrity.core.errors import require_in_range
 
-__all__ = ["Outages", "availability_by_mode", "continuity", "find_outages", "integrity_available"]
+__all__ = ["Outages", "availability_by_mode", "find_outages", "integrity_available"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -31,28 +31,6 @@ def availability_by_mode(record: Record, al_at_m: float, al_ct_m: float) -> dict
     usable = integrity_available(record, al_at_m, al_ct_m)
     shares = {mode.key: float(usable[record.mode == mode].mean()) for mode in record.modes_present()}
     return {**shares, "all": float(usable.mean())}
-
-
-def continuity(available: ArrayLike, time_s: ArrayLike, window_s: float) -> float:
-    """Probability of availability throughout ``window_s``, given availability at its start (S3 II.A).
-
-    available (T,) or (T, B), time_s (T,). Windows beyond the end of the record are not counted; 0 if the position is
-    never available at the start of a window.
-
-    Raises
-    ------
-    InputError
-        ``window_s`` is not positive or longer than the record.
-    """
-    usable, time = np.asarray(available, dtype=np.bool_), np.asarray(time_s, dtype=np.float64)
-    if not 0.0 < window_s <= time[-1] - time[0]:
-        raise InputError(f"window_s must lie in (0, {time[-1] - time[0]}], got {window_s}: choose a shorter window")
-    lost = np.cumsum(~usable, axis=0)
-    last = np.searchsorted(time, time + window_s + 1e-9, side="right") - 1
-    starts = time + window_s <= time[-1] + 1e-9
-    begun = usable & starts.reshape((-1,) + (1,) * (usable.ndim - 1))
-    kept = begun & (lost[last] == lost)
-    return float(kept.sum() / begun.sum()) if begun.any() else 0.0
 
 
 @dataclass(frozen=True)

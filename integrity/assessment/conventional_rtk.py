@@ -78,7 +78,7 @@ class ConventionalSolution:
     satellites: int
 
 
-class _Rows(NamedTuple):
+class _DifferenceRows(NamedTuple):
     """Double differences: design (m, 3), y (m,) [m], covariance (m, m) [m^2], satellite (m,), wavelength (m,) [m]."""
 
     design: Array
@@ -131,7 +131,7 @@ def _by_code(
     return None
 
 
-def _differences(s: RtkSignals, values: Array, usable: Bools, variance: Array) -> _Rows:
+def _differences(s: RtkSignals, values: Array, usable: Bools, variance: Array) -> _DifferenceRows:
     """Double differences of each system and band against its highest satellite."""
     parts: list[tuple[Array, Array, Array, Ints, Array]] = []
     for band in range(values.shape[1]):
@@ -146,9 +146,11 @@ def _differences(s: RtkSignals, values: Array, usable: Bools, variance: Array) -
                 np.diag(variance[rest]) + variance[top], rest, s.wavelength[rest, band],
             ))  # fmt: skip
     if not parts:
-        return _Rows(np.zeros((0, UNKNOWNS)), np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.int64), np.zeros(0))
+        return _DifferenceRows(
+            np.zeros((0, UNKNOWNS)), np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.int64), np.zeros(0)
+        )
     design, y, blocks, satellite, wavelength = zip(*parts, strict=True)
-    return _Rows(
+    return _DifferenceRows(
         np.concatenate(design), np.concatenate(y), _block_diagonal(blocks), np.concatenate(satellite),
         np.concatenate(wavelength),
     )  # fmt: skip
@@ -163,7 +165,7 @@ def _block_diagonal(blocks: tuple[Array, ...]) -> Array:
     return out
 
 
-def _fix(rows: _Rows, position: Array, cofactor: Array) -> tuple[Array, float]:
+def _fix(rows: _DifferenceRows, position: Array, cofactor: Array) -> tuple[Array, float]:
     """Position with the best integers, and the ratio of the second best norm to theirs; 0 without a proven search."""
     scale = 1.0 / rows.wavelength
     floated = scale * (rows.y - rows.design @ position)

@@ -1,24 +1,18 @@
-"""Assessment of a drive in one call: figures and one JSON file with all statistics."""
+"""Assessment of a drive in one call."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from lanebound.integrity.assessment.accuracy import accuracy_by_mode, mode_share
 from lanebound.integrity.assessment.availability import availability_by_mode, find_outages, integrity_available
 from lanebound.integrity.assessment.bounding import bounding_by_mode
 from lanebound.integrity.assessment.events import find_events
-from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.assessment.record import AXES, Record
-from lanebound.integrity.assessment.series import series_figure
-from lanebound.integrity.assessment.stanford import count_zones, stanford_figure
+from lanebound.integrity.assessment.stanford import count_zones
 from lanebound.integrity.positioning.modes import Mode
 
-__all__ = ["assess", "write_report"]
+__all__ = ["assess"]
 
 
 def assess(record: Record, al_at_m: float, al_ct_m: float, time_to_alert_s: float = 1.0) -> dict[str, Any]:
@@ -36,20 +30,3 @@ def assess(record: Record, al_at_m: float, al_ct_m: float, time_to_alert_s: floa
         "events": find_events(record, al_at_m, al_ct_m, time_to_alert_s).summary(),
         "stanford": {axis: count_zones(record, axis, al).to_dict() for axis, al in limits},
     }
-
-
-def write_report(
-    record: Record, folder: str | Path, al_at_m: float, al_ct_m: float, *, time_to_alert_s: float = 1.0,
-    risk: float | None = None,
-) -> list[Path]:  # fmt: skip
-    """Write ``assessment.json``, ``stanford.png`` and, for a single vehicle, ``series.png``; returns their paths."""
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    figures = assess(record, al_at_m, al_ct_m, time_to_alert_s)
-    summary = target / "assessment.json"
-    summary.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    written = [summary, save(stanford_figure(record, al_at_m, al_ct_m, risk=risk), target / "stanford.png")]
-    if np.ndim(record.error_at_m) == 1:
-        figure = series_figure(record, risk=risk, al_at_m=al_at_m, al_ct_m=al_ct_m)
-        written.append(save(figure, target / "series.png"))
-    return written

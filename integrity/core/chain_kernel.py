@@ -24,7 +24,7 @@ from numba.extending import intrinsic
 from lanebound.integrity.core.accel import FASTMATH, jit
 from lanebound.integrity.core.bundle_kernel import Bundle, is_ours, unbundle
 from lanebound.integrity.core.compile_ahead import Ahead
-from lanebound.integrity.core.kernel_dispatcher import kernel_of
+from lanebound.integrity.core.kernel_dispatcher import address_of, kernel_of
 
 __all__ = ["Chain"]
 
@@ -152,5 +152,4 @@ def _address(kernel: Any, signature: tuple[Any, ...]) -> np.uintp:
     if not is_ours(signature[-1]):
         kernel = kernel_of(kernel.py_func, **IN_MEMORY)
         _kept.append(kernel)
-    found: np.uintp = kernel.address(signature)
-    return found
+    return address_of(kernel, signature)

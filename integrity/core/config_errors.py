@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
     from pydantic.fields import FieldInfo
 
-__all__ = ["below", "explain", "joined", "model_in"]
+__all__ = ["below", "bound_text", "explain", "joined", "model_in"]
 
 BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
@@ -48,6 +48,12 @@ def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str, unchang
     owner, field = _find(model, loc)
     dotted = joined(path, loc) or model.__name__
     if kind == "extra_forbidden":
+        others = _kinds_with(owner, str(loc[-1]))
+        if owner is not None and others:
+            return (
+                f"{dotted} is a key of kind {' and '.join(others)}, not of {_kind_of(owner)}: leave it out, or choose "
+                f"the kind {others[0]}"
+            )
         advice = nearest(str(loc[-1]), owner.model_fields if owner else ())
         inside = joined("" if path.endswith(FILES) else path, loc[:-1])
         return f"{dotted} is not a known key: {_with_path(advice, inside)}"
@@ -87,6 +93,8 @@ def _in_place(text: str, dotted: str, model: type[BaseModel], path: str, loc: Se
     """The message of a validator with the place of its model; a message that begins with a key has its whole path."""
     if text.startswith(dotted):
         return text
+    if text.startswith("must "):
+        return f"{dotted} {text}"
     inside = _inside(model, loc)
     word = text.split(maxsplit=1)[0].rstrip(":") if text else ""
     if inside is not None and word.partition(".")[0] in inside.model_fields:
@@ -98,7 +106,10 @@ def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
     """The requirement on the value, in words."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind in BOUNDS:
-        return _interval(field) or _one_bound(context)
+        limits = {
+            key: getattr(item, key) for item in (field.metadata if field else ()) for key in SIGNS if hasattr(item, key)
+        }
+        return bound_text(limits if len(limits) > 1 else context)
     if kind == "finite_number":
         return "be finite"
     if kind in NUMBERS:
@@ -128,19 +139,12 @@ def _numbered(field: FieldInfo | None) -> str:
     return "" if kind is None else ", ".join(f"{int(member)} ({member.name})" for member in kind)
 
 
-def _one_bound(context: Mapping[str, Any]) -> str:
-    return " and ".join(f"be {SIGNS[key]} {limit:.12g}" for key, limit in context.items() if key in SIGNS)
-
-
-def _interval(field: FieldInfo | None) -> str | None:
-    """``"lie in (0, 1)"`` if the field has both bounds, otherwise None."""
-    limits = {
-        key: getattr(item, key) for item in (field.metadata if field else ()) for key in SIGNS if hasattr(item, key)
-    }
+def bound_text(limits: Mapping[str, Any]) -> str:
+    """What bounds demand: ``"lie in (0, 1)"`` for both, ``"be >= 0"`` for one; keys as those of ``SIGNS``."""
     low = "gt" if "gt" in limits else "ge"
     high = "lt" if "lt" in limits else "le"
     if low not in limits or high not in limits:
-        return None
+        return " and ".join(f"be {SIGNS[key]} {limit:.12g}" for key, limit in limits.items() if key in SIGNS)
     left, right = "(" if low == "gt" else "[", ")" if high == "lt" else "]"
     return f"lie in {left}{limits[low]:.12g}, {limits[high]:.12g}{right}"
 
@@ -164,6 +168,8 @@ def _remedy(problem: Mapping[str, Any], field: FieldInfo | None, before: Any) ->
         return "write the number without quotes" if _is_number(value) else "give a number"
     if kind in LISTS and isinstance(value, int | float | str):
         return f"write [{value}]"
+    if kind in MAPPINGS:
+        return "write keys and values"
     if kind in ("enum", "literal_error"):
         words = str(problem["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
         advice = nearest(str(value), words)
@@ -217,8 +223,22 @@ def _walk(
 
 def _model_with(model: type[BaseModel] | None, key: int | str) -> type[BaseModel] | None:
     """The model, or the first kind of a family of models (:mod:`.tagged`) that has the key."""
-    kinds: list[type[BaseModel] | None] = [*getattr(model, "kinds", {}).values()] or [model]
+    family = getattr(model, "family", None)
+    kinds: list[type[BaseModel] | None] = [*getattr(model, "kinds", {}).values()] if family is model else []
+    kinds = kinds or [model]
     return next((kind for kind in kinds if kind is not None and key in kind.model_fields), kinds[0])
+
+
+def _kinds_with(owner: type[BaseModel] | None, key: str) -> list[str]:
+    """Names of the kinds of the owner's family that have a key, if the owner is one kind of it."""
+    family = getattr(owner, "family", None)
+    if family is None or family is owner:
+        return []
+    return [name for name, kind in sorted(family.all_kinds().items()) if key in kind.model_fields]
+
+
+def _kind_of(owner: type[BaseModel]) -> str:
+    return str(owner.model_fields[getattr(owner, "tag", "")].default)
 
 
 def model_in(annotation: Any) -> type[BaseModel] | None:

@@ -7,6 +7,9 @@ each caller compiles those of its callees again.
 A :class:`Kernel` therefore has two forms for each signature: without wrappers, for its callers in compiled code and for
 calls by address, and with the Python wrapper, compiled at the first call from Python. Both contain the same code of the
 kernel and are cached separately.
+
+This needs attributes of Numba that its documentation does not promise (``NEEDED``). A version of Numba without one of
+them compiles plain ``numba.njit`` functions, with all wrappers.
 """
 
 # mypy: allow-untyped-calls
@@ -22,22 +25,56 @@ from typing import Any
 import numba
 import numpy as np
 from numba.core import sigutils
-from numba.core.caching import FunctionCache
+from numba.core.caching import CacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.compiler import Flags
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
-__all__ = ["Kernel", "kernel_of"]
+__all__ = ["Kernel", "address_of", "kernel_of"]
 
 INNER, OUTER = "inner", "outer"  # forms in the cache: without and with the Python wrapper
 
 COLLECTION = 100_000  # new objects between two collections while kernels are compiled
+NEEDED: tuple[tuple[Any, tuple[str, ...]], ...] = (
+    (CPUDispatcher, ("compile", "get_call_template", "add_overload", "overloads", "targetoptions", "_cache")),
+    (FunctionCache, ("load_overload", "save_overload", "_index_key", "_impl", "_cache_file")),
+    (IndexDataCacheFile, ("_index_path", "_data_name_pattern")),
+    (CacheImpl, ("filename_base",)),
+    (Flags, ("no_cpython_wrapper", "no_cfunc_wrapper")),
+)
+"""Classes of Numba with the attributes that a :class:`Kernel` reads, sets or overrides."""
 
 
 def kernel_of(function: Callable[..., Any], **options: Any) -> Any:
     """``numba.njit(**options)(function)`` as a :class:`Kernel`; the function itself where Numba is switched off."""
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
+    if _missing():
+        return numba.njit(**options)(function)
     return Kernel(function, targetoptions={"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, **options})
+
+
+def address_of(kernel: Any, signature: tuple[Any, ...]) -> np.uintp:
+    """Where the machine code of a result of :func:`kernel_of` begins for a signature; compiled now if it is not yet."""
+    if not isinstance(kernel, Kernel):
+        kernel.compile(signature)
+        return _begin(kernel.overloads[signature])
+    return kernel.address(signature)
+
+
+def _missing() -> list[str]:
+    """What this version of Numba lacks of ``NEEDED``; attributes of objects are those that ``__init__`` sets."""
+    return [f"{owner.__name__}.{name}" for owner, names in NEEDED for name in names if not _has(owner, name)]
+
+
+def _has(owner: Any, name: str) -> bool:
+    codes = (getattr(kind.__init__, "__code__", None) for kind in owner.__mro__)
+    return hasattr(owner, name) or any(code is not None and name in code.co_names for code in codes)
+
+
+def _begin(result: Any) -> np.uintp:
+    """Where the machine code of a compiled function begins."""
+    return np.uintp(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
 
 
 class Kernel(CPUDispatcher):
@@ -69,8 +106,7 @@ class Kernel(CPUDispatcher):
         """Where the machine code for a signature begins; compiled now if it is not yet."""
         with self._form(INNER):
             self.compile(signature)
-        found: Any = self.overloads[signature]
-        return np.uintp(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
+        return _begin(self.overloads[signature])
 
     @property
     def is_cached(self) -> bool:

@@ -73,11 +73,15 @@ def hdop_of(e: Array, group: NDArray[np.int64], member: NDArray[np.bool_]) -> fl
             row[1] += e[s, 1]
             row[2] += e[s, 2]
             row[3] += 1.0
+    for k in range(MAX_GROUPS):
+        row = mean[k]
+        if row[3] > 0.0:
+            row[0], row[1], row[2] = row[0] / row[3], row[1] / row[3], row[2] / row[3]
     a, b, c, d, f, g = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for s in range(e.shape[0]):
         if member[s]:
             row = mean[group[s]]
-            x, y, z = e[s, 0] - row[0] / row[3], e[s, 1] - row[1] / row[3], e[s, 2] - row[2] / row[3]
+            x, y, z = e[s, 0] - row[0], e[s, 1] - row[1], e[s, 2] - row[2]
             a += x * x
             b += x * y
             c += x * z

@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core import streams_kernel as sk
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.seeding_kernel import fill_words
 
 __all__ = ["STREAM_NAMES", "ZIGGURAT", "Streams", "named_generator", "named_states"]
 
 STREAM_NAMES = (
     "traffic", "gnss", "clock", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene",
     "atmosphere", "station", "network", "broadcast", "wander", "sensor_bias", "augmentation",
-    "steering", "wheels", "compass",
+    "steering", "wheels", "compass", "barometer",
 )  # fmt: skip
 """Names of all streams; the vehicles of an area share atmosphere, station, network, broadcast and augmentation."""
 ZIGGURAT: NDArray[np.float64] = np.load(str(resources.files("lanebound.integrity.core") / "ziggurat.npy"))
@@ -59,8 +60,12 @@ def named_generator(seed: int | Sequence[int], name: str) -> np.random.Generator
 
 def named_states(seeds: Sequence[int], name: str) -> NDArray[np.uint64]:
     """States (n, 4) of the generators of stream ``name`` for n seeds, for compiled draws of the same bits."""
-    words = np.stack([_sequence(seed, name).generate_state(3, np.uint64) for seed in seeds])
-    states = np.empty((len(seeds), 4), dtype=np.uint64)
+    numbers = _entropy(seeds)
+    words, states = np.empty((len(numbers), 3), np.uint64), np.empty((len(numbers), 4), np.uint64)
+    if max(numbers) < 2**64:
+        fill_words(np.array(numbers, np.uint64), np.uint64(_name_key(name)), words)
+    else:
+        words[:] = [_sequence(number, name).generate_state(3, np.uint64) for number in numbers]
     sk.begin(words, states)
     return states
 

@@ -26,7 +26,7 @@ from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.config_errors import joined
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.plugins import bare_name, unknown
-from lanebound.integrity.core.presets import load_preset, preset_names, preset_values
+from lanebound.integrity.core.presets import load_preset, nearest, preset_names, preset_values
 
 __all__ = ["Literal", "Tagged"]
 
@@ -85,6 +85,13 @@ class Tagged(Config):
         del cls.kinds[kind.model_fields[cls.tag].default]
 
     @classmethod
+    def all_kinds(cls) -> Mapping[str, type[Tagged]]:
+        """Every kind by name; the built-in ones are imported."""
+        for module in cls.modules.values():
+            importlib.import_module(module)
+        return cls.kinds
+
+    @classmethod
     def kind_named(cls, name: str) -> type[Self]:
         """The class of a kind; ``package.module:kind`` imports the module first.
 
@@ -98,11 +105,10 @@ class Tagged(Config):
             importlib.import_module(cls.modules[name])
         found = cls.kinds.get(name) if isinstance(name, str) else None
         if found is None:
-            known = {kind: kind for kind in sorted({*cls.kinds, *cls.modules})}
-            presets = [preset.rpartition("/")[2] for preset in cls._presets()]
-            also = f", or a preset: {', '.join(presets)}" if presets else ""
-            advice = unknown(str(name), {**known, **dict.fromkeys(presets)})
-            raise ConfigError(f"{cls.tag} must be one of {', '.join(known)}{also}, got {name!r}: {advice}")
+            known = dict.fromkeys(sorted({*cls.kinds, *cls.modules}))
+            presets = [preset for preset in cls._presets() if preset.rpartition("/")[2] == name]
+            advice = f"it is a preset, give {presets[0]} without '{cls.tag}'" if presets else unknown(str(name), known)
+            raise ConfigError(f"{cls.tag} must be one of {', '.join(known)}, got {name!r}: {advice}")
         return found  # type: ignore[return-value]
 
     @classmethod
@@ -167,8 +173,25 @@ class Tagged(Config):
         if not isinstance(value, str):
             return value
         if "/" not in value and not cls._names_preset(value):
+            if ":" not in value and value not in {*cls.kinds, *cls.modules}:
+                raise ConfigError(cls._unknown_name(value))
             return {cls.tag: value}
+        if "/" in value and value not in cls._presets():
+            raise ConfigError(cls._unknown_name(value))
         return preset_values(value)
+
+    @classmethod
+    def _unknown_name(cls, value: str) -> str:
+        """The refusal of a name that is neither a kind nor a preset of this family."""
+        kinds, presets = sorted({*cls.kinds, *cls.modules}), cls._presets()
+        short = {preset.rpartition("/")[2]: preset for preset in presets}
+        also = f" or a preset ({', '.join(short)})" if presets else ""
+        if "/" in value:
+            advice = nearest(value, presets)
+            advice = advice if advice.startswith("did you mean") else "'lanebound config list' lists the presets"
+        else:
+            advice = unknown(value, {**short, **dict.fromkeys(kinds)})
+        return f"must be a kind ({', '.join(kinds)}){also}, got {value!r}: {advice}"
 
     @classmethod
     def _names_preset(cls, name: str) -> bool:

@@ -56,6 +56,7 @@ class AlertReason(OpenAdvice):
     INITIALISING: ClassVar[AlertReason]
     NOT_CONVERGED: ClassVar[AlertReason]
     HOLDING: ClassVar[AlertReason]
+    CONTEXT_WARNING: ClassVar[AlertReason]
 
 
 BUILT_IN = {
@@ -74,6 +75,9 @@ BUILT_IN = {
     kernel.NOT_CONVERGED: ("NOT_CONVERGED", "the estimate has not converged; wait or re-initialise"),
     kernel.HOLDING: (
         "HOLDING", "limits are met again; the alert clears when they have been met for the hold time",
+    ),
+    kernel.HOLDING + 1: (
+        "CONTEXT_WARNING", "the context monitor warns; its own reason says of what: position, speed or road",
     ),
 }  # fmt: skip
 for _code in sorted(BUILT_IN):

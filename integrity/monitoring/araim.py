@@ -15,20 +15,32 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import require_shape
+from lanebound.integrity.monitoring.araim_kernel import AraimEpochs, ModeTables, level_modes
 from lanebound.integrity.monitoring.fault_modes import FaultModes, enumerate_faults
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.monitoring.separation import Separation, separate
 
-__all__ = ["AraimConfig", "AraimLevels", "araim", "enu_levels", "levels_at", "vertical_separation"]
+__all__ = [
+    "AraimConfig",
+    "AraimLevels",
+    "SortedModes",
+    "araim",
+    "checked_levels",
+    "enu_levels",
+    "levels_at",
+    "vertical_separation",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
 EAST_RAD = 0.5 * np.pi  # heading for which along-track is the first column
 UP_FIRST = (2, 0, 1)
 GROUPS = 8
+EPOCH_US = 60.0
 
 
 class AraimConfig(Config):
@@ -188,6 +200,73 @@ def levels_at(
         for vertical in (True, False)
     ]
     return levels[0][..., 0], levels[1]
+
+
+@dataclass(frozen=True)
+class SortedModes:
+    """Fault modes of several satellites by how :mod:`.araim_kernel` finds them, and the sum of all others' priors.
+
+    pair (P, 2); system (G, 2) group and one more satellite or -1, ascending by group; other (M, m); priors of them.
+    """
+
+    pair: NDArray[np.int64]
+    system: NDArray[np.int64]
+    other: NDArray[np.bool_]
+    pair_prior: Array
+    system_prior: Array
+    other_prior: Array
+    unmonitored: float
+
+    @classmethod
+    def of(cls, modes: FaultModes, group: NDArray[np.int64]) -> SortedModes:
+        """The modes of satellites of these groups (m,)."""
+        several = modes.take(modes.several)
+        removes, count = several.removes, several.removes.sum(-1)
+        system = np.full((count.size, 2), -1, dtype=np.int64)
+        for g in np.unique(group)[::-1]:
+            own = group == g
+            whole = removes[:, own].all(-1) & (count - own.sum() <= 1)
+            rest = removes & ~own
+            system[whole, 0] = g
+            system[whole, 1] = np.where(rest.any(-1), rest.argmax(-1), -1)[whole]
+        in_system = system[:, 0] >= 0
+        in_pair = ~in_system & (count == 2)
+        order = np.flatnonzero(in_system)[np.argsort(system[in_system, 0], kind="stable")]
+        other = ~in_system & ~in_pair
+        return cls(
+            np.argwhere(removes[in_pair])[:, 1].reshape(-1, 2), system[order], np.ascontiguousarray(removes[other]),
+            several.prior[in_pair], several.prior[order], several.prior[other], modes.unmonitored,
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.pair) + len(self.system) + len(self.other)
+
+
+def checked_levels(
+    los_enu: Array, group: NDArray[np.int64], variance_m2: Array, y_m: Array, config: AraimConfig, modes: SortedModes,
+    times: Array,
+) -> tuple[Array, Array, NDArray[np.bool_]]:  # fmt: skip
+    """:func:`levels_at` without biases, for variances that are those for accuracy, and whether the separation of any
+    mode exceeds its threshold (E,). The levels count on that test. y (E, m) observed minus computed [m]."""
+    epochs, risks = los_enu.shape[0], np.asarray(times, dtype=np.float64)
+    found, alarm = [], np.zeros(epochs, bool)
+    for vertical in (True, False):
+        rules = config.axis_rules(vertical)
+        spent = modes.unmonitored * (1.0 if vertical else config.horizontal_risk / config.risk)
+        k_fa = float(rules.false_alarm_factors(group.size + len(modes))[-1])
+        tables = ModeTables(
+            modes.pair, modes.system, modes.other, modes.pair_prior, modes.system_prior, modes.other_prior,
+            np.full(GROUPS, config.satellite_prior), k_fa, rules.axis_budgets(rules.integrity_risk * risks, spent),
+        )  # fmt: skip
+        rows = AraimEpochs(
+            np.ascontiguousarray(los_enu[..., UP_FIRST] if vertical else los_enu), np.ascontiguousarray(group),
+            np.ascontiguousarray(variance_m2), np.ascontiguousarray(y_m),
+        )  # fmt: skip
+        levels, worst = np.empty((epochs, risks.size, 2)), np.empty((epochs, 2))
+        run_rows(level_modes, epochs, rows, tables, levels, worst, row_us=EPOCH_US)
+        found.append(levels)
+        alarm |= (worst[:, :1] if vertical else worst).max(-1) > k_fa
+    return found[0][..., 0], found[1], alarm
 
 
 def vertical_separation(

@@ -120,13 +120,13 @@ class Separations(NamedTuple):
     state: Array
 
 
-@jit(forceinline=True)
+@jit(inline=True)
 def influences_of(a: Influences, v: int) -> Influences:
     """Row v, (W,) each, of influences (B, W)."""
     return Influences(a.d_e[v], a.d_n[v], a.l_ee[v], a.l_ne[v], a.l_nn[v], a.state[v])
 
 
-@jit(forceinline=True)
+@jit(inline=True)
 def separations_of(a: Separations, v: int) -> Separations:
     """Row v, (W,) each, of separations (B, W)."""
     return Separations(

@@ -68,7 +68,7 @@ class Courses(NamedTuple):
     mean: Array
 
 
-@jit(forceinline=True)
+@jit(inline=True)
 def courses_of(a: Courses, v: int) -> Courses:
     """Row v, (W,) each, of courses (B, W)."""
     return Courses(a.h[v], a.b[v], a.s[v], a.used[v], a.lost[v], a.mean[v])

@@ -16,7 +16,10 @@ returns to the backup solution. What follows a contradiction:
    calibrates the heading.
 3. The same follows when Doppler and odometer contradict each other while RTK continues: one of them is wrong, and RTK
    may be wrong together with Doppler. It follows, too, when RTK drifts away from the path by gyro and odometer
-   (:mod:`lanebound.integrity.positioning.drift_watch_kernel`); the levels then also cover by how much it had drifted.
+   (:mod:`lanebound.integrity.positioning.drift_watch_kernel`). Either RTK drifts or gyro and odometer are wrong by as
+   much in a second: the levels also cover the misfit of the window that showed it, and what gyro and odometer then add
+   at that rate, or at the larger one at which RTK leaves the position since. The quarantine is the short one where the
+   odometer explains the drift within its declared scale and Doppler agrees with RTK.
 4. In all these cases the position continues with the remaining sensors, under an alert, and the levels cover both
    histories: that of dead reckoning, which grows, and that of RTK at the difference ``D``.
 5. After the quarantine RTK is used again, wherever it is: the monitor cannot distinguish a spoofer that waits as long
@@ -43,6 +46,8 @@ __all__ = [
     "begin_epoch",
     "bounded",
     "contradicts",
+    "follow_drift",
+    "grow_drift",
     "is_suspicious",
     "judge_jump",
     "suspects_signals",
@@ -53,6 +58,8 @@ Array = NDArray[np.float64]
 
 # stages: no contradiction; one while RTK lasted, or at the end of an outage; in quarantine; after the quarantine
 TRUSTED, JUMPED, RETURNED, WAITING, RELEASED = 0, 1, 2, 3, 4
+LEAST_SPEED_MPS = 1.0  # to which the rate of a drift refers
+SETTLED_S = 0.5  # of D, until it tells a rate beside the noise of RTK
 ACCEPTED, REFUSED, QUARANTINED = 0, 1, 2  # verdicts; REFUSED: release the integers
 
 JUMP = record(
@@ -63,6 +70,15 @@ JUMP = record(
     drifts=("?", "the drift watch contradicts RTK in this epoch"),
     drift_e="by how much RTK had drifted when it was found, East [m]",
     drift_n="the same, North [m]",
+    rate_at="at what rate, along the track [m/s]",
+    rate_ct="across [m/s]",
+    drift_speed="speed at that time [m/s]",
+    off_e="error of dead reckoning since, if gyro and odometer have that rate and not RTK, East [m]",
+    off_n="the same, North [m]",
+    by_odometer=("?", "the odometer explains the drift, and Doppler agrees with RTK"),
+    found_s="time since the drift was found [s]",
+    found_e="D at that time, East [m]",
+    found_n="the same, North [m]",
 )
 """State of the jump monitor."""
 
@@ -102,7 +118,34 @@ def suspects_signals(jump: Any) -> bool:
 def clear(jump: Any) -> None:
     """No contradiction is known."""
     jump.stage, jump.left_s, jump.d_e, jump.d_n = TRUSTED, 0.0, 0.0, 0.0
-    jump.drift_e, jump.drift_n = 0.0, 0.0
+    jump.drift_e, jump.drift_n, jump.rate_at, jump.rate_ct = 0.0, 0.0, 0.0, 0.0
+    jump.off_e, jump.off_n, jump.by_odometer = 0.0, 0.0, False
+    jump.found_s, jump.found_e, jump.found_n = 0.0, 0.0, 0.0
+
+
+@jit(borrows=True)
+def grow_drift(dt: float, speed: float, sin_h: float, cos_h: float, jump: Any) -> None:
+    """Advance by an epoch what gyro and odometer add if the drift that was found is theirs.
+
+    An error of scale or course grows with the distance: its rate follows the speed [m/s], above that of the finding.
+    """
+    jump.found_s += dt
+    time = dt * max(1.0, abs(speed) / max(jump.drift_speed, LEAST_SPEED_MPS))
+    jump.off_e += time * (jump.rate_at * sin_h + jump.rate_ct * cos_h)
+    jump.off_n += time * (jump.rate_at * cos_h - jump.rate_ct * sin_h)
+
+
+@jit(borrows=True)
+def follow_drift(sin_h: float, cos_h: float, jump: Any) -> None:
+    """Raise the rate of a drift to that of D since it was found: windows that began before it show a smaller one."""
+    if jump.found_s < SETTLED_S or (jump.rate_at == 0.0 and jump.rate_ct == 0.0):
+        return
+    east, north = (jump.d_e - jump.found_e) / jump.found_s, (jump.d_n - jump.found_n) / jump.found_s
+    along, across = sin_h * east + cos_h * north, cos_h * east - sin_h * north
+    if abs(along) > abs(jump.rate_at):
+        jump.rate_at = along
+    if abs(across) > abs(jump.rate_ct):
+        jump.rate_ct = across
 
 
 @jit(borrows=True)
@@ -131,6 +174,7 @@ def judge_jump(
     """
     if jump.stage == WAITING:
         jump.d_e, jump.d_n = east, north
+        follow_drift(sin_h, cos_h, jump)
         return QUARANTINED
     if jump.stage == RELEASED:
         clear(jump)
@@ -147,9 +191,11 @@ def judge_jump(
     if jump.stage == TRUSTED and not together:
         jump.stage = JUMPED if lasting else RETURNED
         return REFUSED
-    jump.left_s = after_outage_s if jump.stage == RETURNED else after_jump_s
+    short = jump.stage == RETURNED or (jump.drifts and jump.by_odometer)
+    jump.left_s = after_outage_s if short else after_jump_s
     if jump.left_s > 0.0:
         jump.stage = WAITING
+        jump.found_s, jump.found_e, jump.found_n = 0.0, east, north
         return QUARANTINED
     clear(jump)
     return ACCEPTED
@@ -159,10 +205,12 @@ def judge_jump(
 def widen(sin_h: float, cos_h: float, found: Array, jump: Any, pl: Array) -> None:
     """Widen the levels of dead reckoning pl (R, 2) in place to cover RTK's history too, of levels ``found`` (R, 2).
 
-    A drift that was found may have begun before the backup solution did: its size is added.
+    A drift that was found may have begun before the backup solution did: its size is added, as its window showed it.
+    So is what gyro and odometer add since, if the rate is theirs.
     """
     at, ct = along_across(jump.d_e, jump.d_n, sin_h, cos_h)
     drift_at, drift_ct = along_across(jump.drift_e, jump.drift_n, sin_h, cos_h)
+    off_at, off_ct = along_across(jump.off_e, jump.off_n, sin_h, cos_h)
     for r in range(pl.shape[0]):
-        pl[r, 0] += at + drift_at + found[r, 0]
-        pl[r, 1] += ct + drift_ct + found[r, 1]
+        pl[r, 0] += at + drift_at + off_at + found[r, 0]
+        pl[r, 1] += ct + drift_ct + off_ct + found[r, 1]

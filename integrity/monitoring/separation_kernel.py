@@ -198,11 +198,13 @@ def _find_moments(accuracy: Array, n: int, geo: Geometry, moments: Moments) -> N
 def _find_changes(group: Ints, n: int, geo: Geometry, moments: Moments) -> None:
     """``change`` and ``tested``, from moments.
 
-    A satellite alone with its clock does not move the solution: its c is 0, and so is its separation.
+    A satellite alone with its clock does not move the solution: its c is 0, and so is its separation. A known height
+    is one more row, whose variance is as stated.
     """
     lever, free, clocks = geo.lever, geo.free, geo.clocks
     change, tested = moments.change, moments.tested
     ee, en, eu, nn, nu, uu = normal_matrix(geo.row, moments.spread, n)
+    uu += geo.fix[0].height_weight
     for k in range(0, n, WIDTH):
         x, y, z, f = load(lever, 0, k), load(lever, 1, k), load(lever, 2, k), load(free, k)
         vx, vy, vz = fma(x, ee, y * (2.0 * en)), fma(y, nn, z * (2.0 * nu)), fma(z, uu, x * (2.0 * eu))
@@ -250,7 +252,7 @@ def _tested_variance(k: int, group: Ints, n: int, geo: Geometry, moments: Moment
             if group[j] == group[k]:
                 level += geo.clock[k]
             variance += float(moments.spread[j] * level * level)
-    return variance
+    return variance + float(geo.fix[0].height_weight * lever[2, k] * lever[2, k])
 
 
 @jit(borrows=True)
@@ -310,8 +312,10 @@ def _solve_without(removed: Bools, group: Ints, n: int, geo: Geometry, rows: Arr
                 rows[0, i] = row[0, i] - x / w if counts else 0.0
                 rows[1, i] = row[1, i] - y / w if counts else 0.0
                 rows[2, i] = row[2, i] - z / w if counts else 0.0
-    if left < 3 + groups:
+    known = geo.fix[0].height_weight
+    if left + (1 if known > 0.0 else 0) < 3 + groups:
         return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    f += known
     for i in range(n):
         w, x, y, z = weight[i], rows[0, i], rows[1, i], rows[2, i]
         a += w * x * x
@@ -347,6 +351,13 @@ def _remove_subset(
         b_ct += abs(s_ct) * geo.bias[i]
         d_at -= s_at * geo.residual[i]  # x_i = S_i (G x + r) = x + S_i r
         d_ct -= s_ct * geo.residual[i]
+    known = geo.fix[0].height_weight
+    if known > 0.0:
+        fix = geo.fix[0]
+        off = known * (fix.height - fix.position[2])
+        d_at, d_ct = d_at - r_at_u * off, d_ct - r_ct_u * off
+        v_at += known * (r_at_u - (sin_h * fix.p_eu + cos_h * fix.p_nu)) ** 2
+        v_ct += known * (r_ct_u - (cos_h * fix.p_eu - sin_h * fix.p_nu)) ** 2
     modes.sigma[0, column] = math.sqrt(sin_h * r_at_e + cos_h * r_at_n)
     modes.sigma[1, column] = math.sqrt(cos_h * r_ct_e - sin_h * r_ct_n)
     modes.delta[0, column], modes.delta[1, column] = math.sqrt(v_at), math.sqrt(v_ct)

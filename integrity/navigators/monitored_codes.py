@@ -17,6 +17,7 @@ from pydantic import model_validator
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.presets import deep_merge
 from lanebound.integrity.monitoring.alerts import AlertReason, AlertState, step
 from lanebound.integrity.monitoring.family.budget import CodeBudget
@@ -47,12 +48,18 @@ CALIBRATE_MPS, AGREE_MPS = 2.0, 1.5  # speed from which Doppler gives a heading,
 class MonitorChoice(Config):
     """A monitor of the family, and the figures in which it differs from its kind; None: those of the kind."""
 
-    kind: str = Field("separation_fde", description="kind of the monitor, see 'lanebound monitors'; or context")
+    kind: str = Field("odds", description="kind of the monitor, see 'lanebound monitors'; or context")
     false_alarm: float | None = Field(None, gt=0, lt=1, description="P_FA of its test at an epoch [-]")
     satellite_prior: float | None = Field(None, gt=0, lt=1, description="P(fault) of a code [-]")
     code_sigma_m: float | None = Field(None, gt=0, description="deviation of its weight model at 45 dB-Hz [m]")
     hal_m: float | None = Field(None, gt=0, description="alert limit of road RAIM [m]")
     errors: str | None = Field(None, description="preset or file of fit-errors, of kinds with fitted laws")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, data: Any) -> Any:
+        """The name of a kind in place of a mapping."""
+        return {"kind": data} if isinstance(data, str) else data
 
     @model_validator(mode="after")
     def _guards_an_epoch_alone(self) -> MonitorChoice:
@@ -116,8 +123,9 @@ class MonitoredCodesConfig(NavigatorConfig):
 
 def with_context(data: Any) -> Any:
     """Data with ``monitor: {kind: context, ...}`` as those of its parts: weighted RAIM (S5 equations 1 to 4) for the
-    position, and the context monitor, which raises alerts."""
+    position, and the context monitor of codes, which raises alerts."""
     monitor = data.get("monitor") if isinstance(data, Mapping) else None
+    monitor = {"kind": monitor} if monitor == CONTEXT else monitor
     if not isinstance(monitor, Mapping) or monitor.get("kind") != CONTEXT:
         return data
     own = {key: value for key, value in monitor.items() if key in MonitorChoice.model_fields}
@@ -125,7 +133,9 @@ def with_context(data: Any) -> Any:
     given = data.get("context")
     given = given.to_dict() if isinstance(given, Config) else given
     return {
-        **data, "monitor": {**own, "kind": "weighted"}, "context": deep_merge({"alerts": True, **(given or {})}, more)
+        **data, "monitor": {**own, "kind": "weighted"}, "context": deep_merge(
+            {"alerts": True, "judges": "codes", **(given or {})}, more
+        ),
     }  # fmt: skip
 
 
@@ -148,6 +158,7 @@ class MonitoredCodesNavigator(Navigator):
     """See the module."""
 
     config: MonitoredCodesConfig
+    radial_levels = True
 
     def prepare(self) -> None:
         """Risks, their factors and the monitor."""
@@ -193,7 +204,7 @@ class MonitoredCodesNavigator(Navigator):
         middle = b.heading_rad + 0.5 * turn
         velocity = speed[:, None] * np.stack([np.sin(middle), np.cos(middle)], -1)
         b.position_m[:, :2] += c.dt_s * velocity
-        b.heading_rad = np.mod(b.heading_rad + turn + np.pi, 2.0 * np.pi) - np.pi
+        b.heading_rad = wrap_angle(b.heading_rad + turn)
         drift = c.dt_s * c.gyro_bias_radps + c.positioning.heading.gyro_scale * np.abs(turn)
         b.sigma_heading_rad = np.minimum(b.sigma_heading_rad + drift, np.pi)
         grown = c.dt_s * np.hypot(c.speed_sigma_mps * (np.abs(speed) > 0.0), np.abs(speed) * b.sigma_heading_rad)
@@ -217,8 +228,7 @@ class MonitoredCodesNavigator(Navigator):
         good = (fit.df > 0) & (fit.wsse <= global_threshold(fit.df, self._monitor.false_alarm))
         good &= fit.solved & (np.abs(wheel) > CALIBRATE_MPS) & (np.abs(speed - np.abs(wheel)) < AGREE_MPS)
         back = np.where(wheel < 0.0, np.pi, 0.0)
-        off = np.arctan2(fit.x_m[:, 0], fit.x_m[:, 1]) + back - b.heading_rad
-        off = np.mod(off + np.pi, 2.0 * np.pi) - np.pi
+        off = wrap_angle(np.arctan2(fit.x_m[:, 0], fit.x_m[:, 1]) + back - b.heading_rad)
         sigma = np.where(good, self._lasting * fit.major_m / np.maximum(speed, 0.1), 1.0)
         share = np.where(good, b.sigma_heading_rad**2 / (b.sigma_heading_rad**2 + sigma**2), 0.0)
         b.heading_rad = b.heading_rad + share * off
@@ -238,7 +248,7 @@ class MonitoredCodesNavigator(Navigator):
         usable = found.usable & np.isfinite(found.hpl_m[:, 0])
         rows = due[usable]
         b.position_m[rows], b.level_m[rows] = found.position_enu_m[usable], found.hpl_m[usable]
-        fit = solve_codes(epochs.with_codes(used=epochs.used & ~found.excluded))
+        fit = solve_codes(epochs.with_codes(used=found.used))
         b.sigma_m[rows], b.since_fix_s[rows] = fit.major_m[usable], 0.0
         b.due_s[due] = 0.0
         unit = solve_codes(epochs.with_codes(sigma_m=np.ones_like(epochs.sigma_m)))

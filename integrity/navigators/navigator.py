@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from enum import Enum
 from functools import lru_cache
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +30,14 @@ from lanebound.integrity.monitoring.exclusion import FdeConfig
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.motion.truth_kernel import all_finite
-from lanebound.integrity.navigators.context_guard import ContextGuard, ContextGuardConfig, GuardState
+from lanebound.integrity.navigators.context_guard import ContextGuard, ContextGuardConfig, GuardState, Judged
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.config import PositioningConfig
 from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
 from lanebound.integrity.sensors.area import initial_area
+from lanebound.integrity.sensors.barometer import BarometerConfig, initial_barometer, sample_barometer
 from lanebound.integrity.sensors.chassis import ChassisConfig, initial_chassis, sample_chassis
 from lanebound.integrity.sensors.compass import CompassConfig, initial_compass, sample_compass
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
@@ -108,6 +109,7 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
     odometer: OdometerConfig = OdometerConfig()
     chassis: ChassisConfig = ChassisConfig()
     compass: CompassConfig = CompassConfig()
+    barometer: BarometerConfig = BarometerConfig()
     positioning: PositioningConfig = PositioningConfig()
     fde: FdeConfig = FdeConfig()
     risk: RiskConfig = RiskConfig()
@@ -121,7 +123,7 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
     )
     alert: AlertConfig = AlertConfig()
     context: ContextGuardConfig | None = Field(
-        None, description="context-aware monitor of code positions, Doppler speed and road beside this navigator"
+        None, description="context-aware monitor of position, Doppler speed and road beside this navigator"
     )
 
     @model_validator(mode="after")
@@ -140,8 +142,9 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
 
     @property
     def simulated(self) -> GnssConfig:
-        """``receiver``, with the undifferenced codes that the context monitor needs."""
-        return self.receiver if self.context is None else self.receiver.replace(undifferenced=True)
+        """``receiver``, with the undifferenced codes that a context monitor of code positions needs."""
+        codes = self.context is not None and self.context.judges is Judged.CODES
+        return self.receiver.replace(undifferenced=True) if codes else self.receiver
 
     @property
     def cases(self) -> tuple[PlCase, ...]:
@@ -221,7 +224,13 @@ class Navigator:
     ------
     InputError
         When the seeds are negative or do not fit ``batch``.
+
+    Attributes
+    ----------
+    radial_levels : each of the two levels of this kind bounds the whole horizontal error
     """
+
+    radial_levels: ClassVar[bool] = False
 
     def __new__(cls, config: NavigatorConfig | None = None, *rest: Any, **more: Any) -> Self:
         """An object of the class of the configuration's kind."""
@@ -299,6 +308,7 @@ class Navigator:
             odometer=initial_odometer(c.odometer, streams),
             chassis=initial_chassis(c.chassis, streams) if c.chassis.fitted else None,
             compass=initial_compass(c.compass, streams) if c.compass.fitted else None,
+            barometer=initial_barometer(c.barometer, streams) if c.barometer.fitted else None,
             belief=self.initial_belief(batch),
             extensions=self.initial_extensions(batch),
             guard=None if self._guard is None else self._guard.initial(batch),
@@ -310,7 +320,7 @@ class Navigator:
         ``one_in``: only every so manieth vehicle is monitored, beginning with the first.
         """
         if self.config.context is not None:
-            self._guard = ContextGuard(self.config.context, road_map, self.config.dt_s, one_in)
+            self._guard = ContextGuard(self.config.context, road_map, self.config.dt_s, one_in, self.radial_levels)
             self.state.guard = self._guard.initial(self.batch)
 
     @property
@@ -439,15 +449,18 @@ class Navigator:
         else:
             effects = _no_effects(self.batch, sky.satellites)
         at_antenna = truth.at(*self._lever_m) if any(self._lever_m) else truth
-        return self._with_body(self._instruments.sense(self.state, sky, self.mask, at_antenna, effects), truth, effects)
+        measured = self._instruments.sense(self.state, sky, self.mask, at_antenna, effects)
+        return self._with_body(measured, truth, at_antenna, effects)
 
-    def _with_body(self, m: Measurements, truth: Truth, effects: FaultEffects) -> Measurements:
-        """The measurements with those of the chassis and of the compass, where they are fitted."""
+    def _with_body(self, m: Measurements, truth: Truth, at_antenna: Truth, effects: FaultEffects) -> Measurements:
+        """The measurements with those of chassis, compass and barometer, where they are fitted."""
         c, s = self.config, self.state
         if s.chassis is not None:
             m = replace(m, chassis=sample_chassis(c.chassis, s.chassis, truth, effects, s.streams))
         if s.compass is not None:
             m = replace(m, compass=sample_compass(c.compass, s.compass, truth, s.streams))
+        if s.barometer is not None:
+            m = replace(m, barometer=sample_barometer(c.barometer, s.barometer, at_antenna, s.streams))
         return m
 
     def _require_fitting(self, truth: Truth) -> None:
@@ -464,6 +477,9 @@ class Navigator:
 def _hand_over(mine: Any, other: Any, rows: Rows, theirs: Rows) -> None:
     """Copy the rows of every array of a state, and of the states in it; clocks and streams stay."""
     if isinstance(other, np.ndarray):
+        if other.dtype.names is not None:  # as blocks of bytes: NumPy copies records field by field
+            block = np.dtype((np.void, other.dtype.itemsize))
+            mine, other = mine.view(block), other.view(block)
         mine[rows] = other[theirs]
         return
     parts = other if isinstance(other, dict) else other._asdict() if hasattr(other, "_asdict") else vars(other)

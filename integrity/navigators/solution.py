@@ -81,6 +81,8 @@ class Solution:
     nis_position, nis_wheels : (B,) normalised innovation squared of the last GNSS position and of the last wheel speed
         of a filter; 0 before, and of other kinds
     trust_m : (B,) horizontal trust level of a filter; inf without one, and of other kinds
+    sdop : (B,) speed dilution of precision of the Doppler velocity, 1 sigma of the speed over that of one range rate at
+        the zenith; inf without one, and of other kinds
     context : of the context monitor, None without one
     """
 
@@ -114,6 +116,7 @@ class Solution:
     nis_position: Array
     nis_wheels: Array
     trust_m: Array
+    sdop: Array
     context: ContextReport | None = None
 
     @classmethod
@@ -129,7 +132,7 @@ class Solution:
             reason=none + AlertReason.INITIALISING.code, hdop=inf, satellites=none, satellites_doppler=none,
             excluded=none, since_rtk_s=inf, since_calibration_s=inf, corrections_age_s=m.gnss.corrections_age_s,
             wrong_fix_risk=zero, held=np.zeros((batch, satellites), np.bool_), doubt_en_m=np.zeros((batch, 2)),
-            model_curved=zero, nis_position=zero, nis_wheels=zero, trust_m=inf,
+            model_curved=zero, nis_position=zero, nis_wheels=zero, trust_m=inf, sdop=inf,
         )  # fmt: skip
 
     def rows(self, rows: NDArray[np.int64]) -> Solution:

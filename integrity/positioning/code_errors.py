@@ -72,6 +72,12 @@ class CodeErrorBudget(Config):
         gt=0,
         description="the same at rest, where only satellites move [s]; a reflector in 3 m turns its phase in 250 s",
     )
+    multipath_length_m: float = Field(
+        20.0,
+        ge=0,
+        description="way over which multipath lasts [m]: a car that creeps passes it in this length over its speed, "
+        "from multipath_tau_s up to rest_tau_s; 10 to 20 m of facade",
+    )
     satellite_m: float = Field(1.56, ge=0, description="ephemeris and clock [m]; S3 Table III, 1.1 m each")
     satellite_growth_m2ps: float = Field(
         1e-3,
@@ -90,6 +96,12 @@ class CodeErrorBudget(Config):
         ge=0,
         description="growth of the variance of a vertical correction with its age [m^2/s]; above (1.5 mm/s age)^2 to "
         "600 s",
+    )
+    iono_rate_mps: float = Field(
+        1.5e-3,
+        ge=0,
+        description="rate of the vertical ionosphere, 1 sigma [m/s]: carrier smoothing on one frequency lags by twice "
+        "its change; as simulated: 2.5 m, smooth, of 3600 s",
     )
     tropo_zenith_m: float = Field(0.12, ge=0, description="zenith troposphere after a model [m]; DO-229 A.4.2.4")
 
@@ -116,10 +128,12 @@ def _rules(b: CodeErrorBudget) -> Records:
         knee=b.cn0_knee_dbhz,
         moving_tau=b.multipath_tau_s,
         rest_tau=b.rest_tau_s,
+        length=b.multipath_length_m,
         satellite=b.satellite_m,
         satellite_growth=b.satellite_growth_m2ps,
         iono=b.iono_zenith_m,
         iono_common=b.iono_common,
         iono_growth=b.iono_growth_m2ps,
+        iono_rate=b.iono_rate_mps,
         tropo=b.tropo_zenith_m,
     )

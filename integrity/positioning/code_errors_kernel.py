@@ -38,6 +38,7 @@ __all__ = [
     "fill_parts",
     "ionosphere_slant",
     "ionosphere_variance",
+    "multipath_time",
     "receiver_variance",
     "satellite_variance",
     "troposphere_slant",
@@ -60,11 +61,13 @@ CODE_ERRORS = record(
     knee="C/N0 at which the variance doubles [dB-Hz]",
     moving_tau="longest correlation time of multipath in motion [s]",
     rest_tau="the same at rest [s]",
+    length="way over which it lasts [m]",
     satellite="ephemeris and clock without a provider [m]",
     satellite_growth="growth of its variance with the age of corrections [m^2/s]",
     iono="vertical ionosphere on the first band without a provider [m]",
     iono_common="share of its variance that is common to all satellites [-]",
     iono_growth="growth of its variance with the age of the correction [m^2/s]",
+    iono_rate="rate of the vertical ionosphere [m/s]",
     tropo="zenith troposphere after the model [m]",
 )
 """CodeErrorBudget as kernels take it; 1 sigma each."""
@@ -92,6 +95,14 @@ def troposphere_slant(sine: float) -> float:
 def receiver_variance(rules: Any, factor: float, white: float, lasting: float) -> float:
     """Variance of noise and multipath of the code of one band; ``white`` and ``lasting`` as smoothing leaves them."""
     return float(factor * (white * rules.noise * rules.noise + lasting * rules.multipath * rules.multipath))
+
+
+@jit(borrows=True)
+def multipath_time(rules: Any, speed: float, still: float) -> float:
+    """Longest correlation time of multipath at a speed: ``length / speed``, from that of motion to that at rest."""
+    if not abs(speed) > still:
+        return float(rules.rest_tau)
+    return float(min(max(rules.moving_tau, rules.length / abs(speed)), rules.rest_tau))
 
 
 @jit(borrows=True)

@@ -28,6 +28,7 @@ from lanebound.integrity.positioning.rtk_kernel import FILTER_RULES, MOST_AMBIGU
 from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES
 
 __all__ = [
+    "CODE_DOUBT",
     "CorrelationBound",
     "DeadReckoningConfig",
     "DopplerConfig",
@@ -41,6 +42,7 @@ __all__ = [
     "RtkConfig",
     "bound_correlation",
     "calibration_parameters",
+    "doubt_parameters",
     "drift_parameters",
     "mode_parameters",
     "overbounding_walk",
@@ -76,6 +78,10 @@ class DoubtConfig(Config):
     share: float = Field(
         0.1, gt=0, lt=1, description="largest probability of sets not monitored as a share of the integrity risk [-]"
     )
+
+
+CODE_DOUBT = DoubtConfig(sets=100, odds=0.17, centre_db=4.8, scale_db=0.55, confirm_from=0.01)
+"""Odds that an L1 code is off by more than six sigma, fitted to simulated streets (suburban, urban, dense; seed 101)"""
 
 
 class FloatConfig(Config):
@@ -114,7 +120,7 @@ class DriftWatchConfig(Config):
         0.0,
         ge=0,
         description="longest window over which RTK is compared with the path by gyro and odometer [s]; 0: off, 16 when "
-        "in use; a change of the odometer's scale cannot be told from a drift",
+        "in use; a fault of gyro or odometer cannot be told from a drift, and is likelier",
     )
     windows: int = Field(16, ge=2, le=64, description="windows of different lengths that are compared at once [-]")
     false_alarms_per_h: float = Field(
@@ -339,6 +345,12 @@ class ModeConfig(Config):
     rtk_max_hdop: float = Field(3.0, gt=0, description="HDOP for RTK [-]; S1 table 1")
     doppler_agreement_mps: float = Field(0.5, gt=0, description="Doppler against odometer speed [m/s]; S1 table 1")
     doppler_max_hdop: float = Field(1.5, gt=0, description="HDOP for Doppler positioning [-]; S1 table 1")
+    doppler_max_sdop: float | None = Field(
+        None,
+        gt=0,
+        description="SDOP for Doppler positioning, 1 sigma of the speed over that of one range rate at the zenith [-]; "
+        "S1 section 6, S5 eq 5; none: no limit",
+    )
     doppler_max_s: float = Field(60.0, gt=0, description="longest Doppler positioning without RTK [s]; S1 section 5")
     doppler_when: Literal["tighter", "usable"] = Field(
         "tighter",
@@ -448,17 +460,7 @@ def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Recor
         min_further=config.min_further,
         hold_failures=config.hold_failures,
         retry=config.retry_s,
-        doubt=one_record(
-            DOUBT_RULES,
-            sets=config.doubt.sets,
-            zenith=config.doubt.zenith_dbhz,
-            horizon=config.doubt.horizon_dbhz,
-            most=config.doubt.odds,
-            centre=config.doubt.centre_db,
-            scale=config.doubt.scale_db,
-            limit=config.doubt.share * smallest_risk,
-            single=config.doubt.confirm_from,
-        ),
+        doubt=doubt_parameters(config.doubt, smallest_risk),
         filter=one_record(
             FILTER_RULES,
             sequential=config.float_solution.kind == "sequential",
@@ -469,6 +471,21 @@ def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Recor
             ionosphere=config.float_solution.ionosphere_m,
             troposphere=config.float_solution.troposphere_m,
         ),
+    )
+
+
+def doubt_parameters(config: DoubtConfig, smallest_risk: float) -> Records:
+    """DOUBT_RULES (1,) of :mod:`.doubtful_kernel`; ``smallest_risk`` is that of the strictest level."""
+    return one_record(
+        DOUBT_RULES,
+        sets=config.sets,
+        zenith=config.zenith_dbhz,
+        horizon=config.horizon_dbhz,
+        most=config.odds,
+        centre=config.centre_db,
+        scale=config.scale_db,
+        limit=config.share * smallest_risk,
+        single=config.confirm_from,
     )
 
 
@@ -526,6 +543,7 @@ def mode_parameters(config: ModeConfig, odometer_follows: bool = True) -> Record
         rtk_max_hdop=config.rtk_max_hdop,
         doppler_agreement=config.doppler_agreement_mps,
         doppler_max_hdop=config.doppler_max_hdop,
+        doppler_max_sdop=np.inf if config.doppler_max_sdop is None else config.doppler_max_sdop,
         doppler_max_s=config.doppler_max_s,
         doppler_if_tighter=config.doppler_when == "tighter" and odometer_follows,
     )

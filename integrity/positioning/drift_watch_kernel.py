@@ -7,18 +7,24 @@ their errors is small beside the declared bounds of scale and heading, which the
 
 For a window of T seconds, of which the vehicle moves M, with path L, at every epoch and for every anchor:
 
-    along   |m_a - s L|  <=  K sqrt(var_rtk + var_o(M) + L^2 (P_s + q_s T))  +  B_a
-    across  |m_c - c L|  <=  K sqrt(var_rtk + L^2 (P_c + (W - W_0) / 3))     +  B_c
+    along   |m_a - s L|  <=  K sqrt(var_rtk + var_o(M) + L^2 (P_s + q_s T) + 2 L g_s var_0)  +  B_a
+    across  |m_c - c L|  <=  K sqrt(var_rtk + L^2 (P_c + (W - W_0) / 3) + 2 L g_c var_0)     +  B_c
 
 ``var_o(M) = 2 sigma^2 tau (M - tau (1 - exp(-M / tau)))`` is of the odometer's correlated noise, P_s and P_c are the
-variances of s and c at the anchor, ``W`` is the variance by which the gyro's heading has walked (:func:`walk_of`), and
-B holds the bounds: speed bias ``b |M - p L|``, of which s already holds ``b p`` (p the mean of 1 / v where it was
-learnt); slip ``g |v^2 - v_0^2| / 2`` of the wheels; creep at rest, axle distance, heading drift, phase biases. Where
-the window bends, along and across mix by the sine of the turn. K follows from the false alarms allowed for an hour by
+variances of s and c at the anchor; g_s and g_c are the gains by which the RTK error at the anchor, of variance var_0,
+entered s and c (it is in both parts of the misfit with the same sign). ``W`` is the variance by which the gyro's
+heading has walked (:func:`walk_of`), and B holds the bounds: speed bias ``b |M - p L|``, of which s already holds
+``b p`` (p the mean of 1 / v where it was learnt); slip ``g |v^2 - v_0^2| / 2`` of the wheels; creep at rest, axle
+distance, heading drift, phase biases. Where the window bends, along and across mix by the sine of the turn. A course
+that is wrong by e shortens the path by ``L (1 - cos e)``: B_a has it for K sigmas of the course, which is all of the
+path while the heading is unknown, as before the first motion. Until K sigmas are below LARGEST_COURSE nothing is learnt
+and a window shows drifts at rest only; then windows begin anew. K follows from the false alarms allowed for an hour by
 the union bound over epochs, anchors, axes and signs.
 
 The smallest drift that is found is the right side over T. Not found: a slower one, and one that has always been there,
-which s and c take for their own. Doppler enters by what it tells of the gyro's bias and scale alone.
+which s and c take for their own. What is found is a drift of RTK or an error of gyro and odometer of the same rate: a
+step of the odometer's scale (snow, slip) is a drift along the track. Doppler tells of the gyro's bias and scale, and
+decides only how long RTK waits (:func:`blames_odometer`).
 """
 
 from __future__ import annotations
@@ -37,9 +43,13 @@ __all__ = [
     "advance",
     "allowed",
     "begin_watch",
+    "blames_odometer",
     "find_drift",
+    "fold_doppler",
     "learn",
+    "misfit",
     "odometer_variance",
+    "rates_of",
     "walk_of",
 ]
 
@@ -47,7 +57,7 @@ DRIFT_RULES = record(
     spacing="time between two anchors [s]",
     window="longest window [s]",
     k="threshold in sigmas [-]",
-    scale="prior of the scale error, 1 sigma [-]",
+    scale="declared bound of the scale error, its prior as 1 sigma [-]",
     scale_walk="its random walk [1/sqrt(s)]",
     slip="bound of the wheels' slip per acceleration [s^2/m]",
     sigma="odometer speed, 1 sigma [m/s]",
@@ -72,8 +82,16 @@ DRIFT = record(
     p_scale="its variance [-]",
     has_scale=("?", "s begins with the prior"),
     pace="what s has in it of a constant error of the speed, per m/s [s/m]",
+    gain_scale="g_s, by which the RTK error at the last anchor is in s [1/m]",
     course="c, course of RTK less that of the path [rad]",
     p_course="its variance [rad^2]",
+    gain_course="g_c, by which the RTK error at the last anchor is in c [1/m]",
+    doppler_e="path by Doppler, East [m]",
+    doppler_n="the same, North [m]",
+    seen=("?", "the epoch before had a Doppler velocity"),
+    last_e="that velocity, East [m/s]",
+    last_n="the same, North [m/s]",
+    unseen_s="time without a Doppler velocity [s]",
     since_anchor="time since the last anchor [s]",
     anchors=("i8", "anchors in use"),
     next=("i8", "place of the next one"),
@@ -83,13 +101,14 @@ DRIFT = record(
 ANCHOR = record(
     east="RTK position, East [m]",
     north="North [m]",
-    variance="its variance, East and North together [m^2]",
+    variance="its variance, on the worst axis [m^2]",
     speed="odometer speed [m/s]",
     at=(DRIFT, "the drift watch at that time"),
 )
 """Where a window begins."""
 
 LEAST_PATH_M = 2.0  # of a window that tells scale and course
+LARGEST_COURSE = 0.2  # K sigmas of the course up to which sines are angles [rad]; it shortens the path by 2 %
 
 
 class DriftWatch(NamedTuple):
@@ -139,6 +158,19 @@ def advance(
 
 
 @jit(borrows=True)
+def fold_doppler(dt: float, tested: bool, v_e: float, v_n: float, d: Any) -> None:
+    """Advance the path by Doppler by the velocity (v_e, v_n) [m/s] at the end of an epoch, if it is ``tested``."""
+    if tested:
+        before_e, before_n = (d.last_e, d.last_n) if d.seen else (v_e, v_n)
+        d.doppler_e += 0.5 * dt * (before_e + v_e)
+        d.doppler_n += 0.5 * dt * (before_n + v_n)
+        d.last_e, d.last_n = v_e, v_n
+    else:
+        d.unseen_s += dt
+    d.seen = tested
+
+
+@jit(borrows=True)
 def walk_of(noise: float, p_bias: float, p_scale: float, turning: float, rules: Any) -> float:
     """Variance rate of a random walk that bounds the gyro's error over any window [rad^2/s].
 
@@ -151,21 +183,64 @@ def walk_of(noise: float, p_bias: float, p_scale: float, turning: float, rules: 
 @jit(borrows=True)
 def find_drift(
     east: float, north: float, variance: float, speed: float, rules: Any, d: Any, anchors: Records
-) -> tuple[bool, float, float]:
-    """Whether RTK at (east, north) [m] has drifted since any anchor, and the largest misfit that shows it, E and N [m].
+) -> int:  # fmt: skip
+    """Place of the anchor since which RTK at (east, north) [m] has drifted most; -1 if it has not drifted.
 
-    variance : of the RTK position, East and North together [m^2]; anchors (N,) of the vehicle.
+    variance : of the RTK position on its worst axis [m^2]; anchors (N,) of the vehicle.
     """
-    found, worst_e, worst_n = False, 0.0, 0.0
+    found, most = -1, 0.0
     for i in range(d.anchors):
-        anchor = anchors[i]
-        along, across, sin_u, cos_u = misfit(east, north, d, anchor)
-        most_along, most_across = allowed(variance, speed, rules, d, anchor)
-        if abs(along) > most_along or abs(across) > most_across:
-            if not found or math.hypot(along, across) > math.hypot(worst_e, worst_n):
-                worst_e, worst_n = along * sin_u + across * cos_u, along * cos_u - across * sin_u
-            found = True
-    return found, worst_e, worst_n
+        along, across, _, _ = misfit(east, north, d, anchors[i])
+        most_along, most_across = allowed(variance, speed, rules, d, anchors[i])
+        size = math.hypot(along, across)
+        if (abs(along) > most_along or abs(across) > most_across) and size > most:
+            found, most = i, size
+    return found
+
+
+@jit(borrows=True)
+def rates_of(
+    east: float, north: float, variance: float, speed: float, rules: Any, d: Any, anchors: Records
+) -> tuple[float, float]:
+    """Largest rates at which RTK leaves the path, along and across [m/s], of windows that show it or last a spacing.
+
+    A drift or error that begins inside a long window has a larger rate than the window's mean. One that is found sooner
+    than after a spacing is larger than this: its windows, too, began before it.
+    """
+    rate_along, rate_across = 0.0, 0.0
+    for i in range(d.anchors):
+        at = anchors[i].at
+        along, across, _, _ = misfit(east, north, d, anchors[i])
+        most_along, most_across = allowed(variance, speed, rules, d, anchors[i])
+        time = d.moving_s - at.moving_s + d.rest_s - at.rest_s
+        if time >= rules.spacing or (time > 0.0 and (abs(along) > most_along or abs(across) > most_across)):
+            if abs(along) > abs(rate_along) * time:
+                rate_along = along / time
+            if abs(across) > abs(rate_across) * time:
+                rate_across = across / time
+    return rate_along, rate_across
+
+
+@jit(borrows=True)
+def blames_odometer(
+    east: float, north: float, variance: float, speed: float, rules: Any, d: Any, anchor: Any
+) -> bool:  # fmt: skip
+    """Whether the odometer explains the misfit of a window: within its declared scale, and Doppler agrees with RTK.
+
+    The displacement by Doppler lies nearer to that of RTK than to the path; across nothing is found; and the scale
+    that RTK shows is one that the declared bound allows. A spoofer that moves Doppler as well meets the first two.
+    """
+    at = anchor.at
+    if d.unseen_s > at.unseen_s:
+        return False
+    along, across, _, _ = misfit(east, north, d, anchor)
+    _, most_across = allowed(variance, speed, rules, d, anchor)
+    length = math.hypot(d.path_e - at.path_e, d.path_n - at.path_n)
+    if abs(across) > most_across or abs(along + at.scale * length) > rules.scale * length:
+        return False
+    off_e = east - anchor.east - (d.doppler_e - at.doppler_e)
+    off_n = north - anchor.north - (d.doppler_n - at.doppler_n)
+    return bool(math.hypot(off_e, off_n) < 0.5 * math.hypot(along, across))
 
 
 @jit(borrows=True)
@@ -192,13 +267,16 @@ def allowed(variance: float, speed: float, rules: Any, d: Any, anchor: Any) -> t
     noise = odometer_variance(moving, rules.sigma, rules.tau)
     scale = at.p_scale + rules.scale_walk * rules.scale_walk * (moving + rest)
     course = at.p_course + (d.walked - at.walked) / 3.0
-    along = noise + length * length * scale
-    across = length * length * course
+    along = noise + length * length * scale + 2.0 * length * at.gain_scale * anchor.variance
+    across = length * length * course + 2.0 * length * at.gain_course * anchor.variance
     common = rules.phase + rest * rules.creep + 2.0 * rules.axle * math.sin(0.5 * min(turned, math.pi))
     wheels = rules.bias * abs(moving - at.pace * length) + 0.5 * rules.slip * abs(
         speed * speed - anchor.speed * anchor.speed
     )
-    turn = 0.5 * rules.heading_drift * (moving + rest) * length
+    drift = rules.heading_drift * (moving + rest)
+    turn = 0.5 * drift * length
+    farthest = rules.k * math.sqrt(at.p_course + d.walked - at.walked) + drift
+    wheels += length * (1.0 - math.cos(min(farthest, math.pi)))
     rtk, b2 = variance + anchor.variance, bend * bend
     most_along = rules.k * math.sqrt(rtk + along + b2 * across) + common + wheels + bend * turn
     most_across = rules.k * math.sqrt(rtk + across + b2 * along) + common + turn + bend * wheels
@@ -213,22 +291,25 @@ def learn(
     """After each spacing: learn s and c from the window since the last anchor, and set a new one at (east, north) [m].
 
     Without an anchor the path turns to ``heading`` [rad], whose variance ``p_course`` [rad^2] is that of c; of s
-    remains what is known.
+    remains what is known. So does it where the course of the windows was unknown and the heading is not any more.
     """
-    n = anchors.shape[0]
+    n, known = anchors.shape[0], _course_known(d.p_course, rules)
+    if d.anchors > 0 and not known and _course_known(p_course, rules):
+        begin_watch(d)
+    if d.anchors > 0 and d.since_anchor < rules.spacing:
+        return
+    d.gain_scale, d.gain_course = 0.0, 0.0
     if d.anchors == 0:
         d.heading, d.course, d.p_course = heading, 0.0, p_course
         if not d.has_scale:
             d.scale, d.p_scale, d.pace, d.has_scale = 0.0, rules.scale * rules.scale, 0.0, True
-    elif d.since_anchor < rules.spacing:
-        return
     else:
         anchor = anchors[(d.next - 1) % n]
         at = anchor.at
         along, across, _, _ = misfit(east, north, d, anchor)
         square = (d.path_e - at.path_e) ** 2 + (d.path_n - at.path_n) ** 2
         bend = math.sin(min(abs(d.turned - at.turned), 0.5 * math.pi))
-        if square > LEAST_PATH_M * LEAST_PATH_M:
+        if known and square > LEAST_PATH_M * LEAST_PATH_M:
             moving = d.moving_s - at.moving_s
             noise = 2.0 * rules.sigma * rules.sigma * rules.tau * moving
             rtk, length = variance + anchor.variance, math.sqrt(square)
@@ -241,6 +322,7 @@ def learn(
             d.course += k_c * across / length
             d.p_scale *= 1.0 - k_s
             d.p_course *= 1.0 - k_c
+            d.gain_scale, d.gain_course = k_s / length, k_c / length
     d.since_anchor = 0.0
     anchor = anchors[d.next]
     anchor.east, anchor.north, anchor.variance, anchor.speed = east, north, variance, speed
@@ -250,9 +332,16 @@ def learn(
 
 
 @jit(borrows=True)
+def _course_known(p_course: float, rules: Any) -> bool:
+    """Whether a course of this variance [rad^2] is good enough to learn from a window."""
+    return bool(rules.k * math.sqrt(p_course) < LARGEST_COURSE)
+
+
+@jit(borrows=True)
 def copy_watch(source: Any, to: Any) -> None:
     """Copy what windows compare."""
     to.path_e, to.path_n, to.turned = source.path_e, source.path_n, source.turned
     to.moving_s, to.rest_s, to.walked = source.moving_s, source.rest_s, source.walked
-    to.scale, to.p_scale, to.pace = source.scale, source.p_scale, source.pace
-    to.course, to.p_course = source.course, source.p_course
+    to.scale, to.p_scale, to.gain_scale, to.pace = source.scale, source.p_scale, source.gain_scale, source.pace
+    to.course, to.p_course, to.gain_course = source.course, source.p_course, source.gain_course
+    to.doppler_e, to.doppler_n, to.unseen_s = source.doppler_e, source.doppler_n, source.unseen_s

@@ -362,11 +362,11 @@ def held_base(carriers: Carriers, ambiguities: Records, bands: int, base: Record
 @jit(borrows=True)
 def held_risk(ambiguities: Records) -> float:
     """Probability that any held ambiguity is wrong: the union bound over the fixes that they came from."""
-    total = 0.0
+    total, latest = 0.0, -1
     for s in range(ambiguities.shape[0]):
-        if not ambiguities[s].held:
+        if not ambiguities[s].held or (latest >= 0 and ambiguities[s].fix_id == ambiguities[latest].fix_id):
             continue
-        first = True
+        first, latest = True, s
         for r in range(s):
             if ambiguities[r].held and ambiguities[r].fix_id == ambiguities[s].fix_id:
                 first = False

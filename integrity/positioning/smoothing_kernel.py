@@ -15,7 +15,8 @@ V grows with r, so that the longest correlation time bounds all shorter ones. At
 r is close to 1 and a mean of multipath gains next to nothing, whatever its length.
 
 A slip that the receiver does not notice moves d; one that exceeds ``gate`` restarts the mean. On one frequency the
-ionosphere moves code and phase apart, so that the mean lags by twice its change in a time constant.
+ionosphere moves code and phase apart: the mean lags by twice its rate times the mean age ``T = (1 - g) (T + dt)`` of
+the differences, which is counted in epochs (``age``).
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ HATCH = record(
     white="share of the variance of white noise that the mean leaves [-]",
     lasting="share of the variance of a Gauss-Markov error that it leaves [-]",
     cross="covariance of the mean and the present error, over the variance [-]",
+    age="mean age of the differences in the mean [epochs]",
     free="phase of the first band less that of the second in the last epoch, 0: none [m]",
 )
 """Carrier smoothing of one satellite's code."""
@@ -46,7 +48,7 @@ def smooth(code: float, phase: float, locked: bool, most: float, gate: float, de
     multipath over the epoch [-]
     """
     if not locked:
-        hatch.count, hatch.white, hatch.lasting, hatch.cross = 0.0, 1.0, 1.0, 1.0
+        hatch.count, hatch.white, hatch.lasting, hatch.cross, hatch.age = 0.0, 1.0, 1.0, 1.0, 0.0
         return code
     difference = code - phase
     if hatch.count > 0.0 and abs(difference - hatch.mean) > gate:
@@ -66,6 +68,7 @@ def weaken(gain: float, decay: float, hatch: Any) -> None:
     hatch.white = left * left * hatch.white + gain * gain
     hatch.lasting = left * left * hatch.lasting + 2.0 * gain * left * decay * hatch.cross + gain * gain
     hatch.cross = left * decay * hatch.cross + gain
+    hatch.age = left * (hatch.age + 1.0)
 
 
 @jit(borrows=True)

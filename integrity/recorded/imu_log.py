@@ -183,12 +183,11 @@ def _epoch(words: list[str]) -> list[float]:
 
 def _samples(path: str | Path) -> tuple[Array, Ints, Stop | None]:
     """Numbers of the whole lines (N, 7), the byte after each (N,), and the place where reading stopped."""
-    lines, doubt, found, ends, read = Lines(path), "", array("d"), array("q"), 0
+    lines, doubt, found, ends = Lines(path), "", array("d"), array("q")
     stop: Stop | None = None
     for text in lines:
         if doubt:
             raise InputError(doubt)
-        read += len(text) + 1
         try:
             numbers = _numbers(text)
         except ValueError as error:
@@ -196,7 +195,7 @@ def _samples(path: str | Path) -> tuple[Array, Ints, Stop | None]:
                 doubt, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
             continue
         found.extend(numbers)
-        ends.append(read)
+        ends.append(lines.read)
     return np.array(found).reshape(-1, len(COLUMNS)), np.array(ends, dtype=np.int64), stop or lines.stop
 
 

@@ -112,7 +112,7 @@ def read_observations(path: str | Path, max_bytes: int = MAX_BYTES) -> Observati
     return parser.result(path, stopped)
 
 
-class _Rows:
+class _ObservationRows:
     """Growing rows of one system."""
 
     def __init__(self, codes: tuple[str, ...], scales: list[float]) -> None:
@@ -137,7 +137,7 @@ class _Parser:
     def __init__(self) -> None:
         self.builder = HeaderBuilder()
         self.header: Header | None = None
-        self.rows: dict[str, _Rows] = {}
+        self.rows: dict[str, _ObservationRows] = {}
         self.week, self.tow, self.power = array("q"), array("d"), array("b")
         self.left, self.flag, self.done = 0, GOOD, 0
 
@@ -169,7 +169,7 @@ class _Parser:
             )
         self.header = header
         for system, codes in header.codes.items():
-            self.rows[system] = _Rows(codes, [header.scale.get((system, code), 1.0) for code in codes])
+            self.rows[system] = _ObservationRows(codes, [header.scale.get((system, code), 1.0) for code in codes])
 
     def _epoch(self, text: str) -> None:
         if not text.startswith(">"):

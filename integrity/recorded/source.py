@@ -46,17 +46,17 @@ class Lines:
         self.path = Path(path)
         self.max_bytes = max_bytes
         self.number = 0
+        self.read = 0
         self.stop: Stop | None = None
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the lines; ``number`` is the number of the latest line."""
-        read = 0
+        """Iterate over the lines; ``number`` is the number of the latest line, ``read`` the bytes up to its end."""
         try:
             with self._open() as stream:
                 while raw := stream.readline(MAX_LINE):
                     self.number += 1
-                    read += len(raw)
-                    if read > self.max_bytes:
+                    self.read += len(raw)
+                    if self.read > self.max_bytes:
                         raise InputError(
                             f"{self.path} must hold at most {self.max_bytes} bytes of text, has more: split it"
                         )

@@ -144,10 +144,10 @@ def drive_city(
     InputError
         There is no odometry, or no epoch has enough satellites for a first fix.
     """
-    return _Run(drive, errors, config, outages_s).drive(every, first, progress)
+    return _CityRun(drive, errors, config, outages_s).drive(every, first, progress)
 
 
-class _Run:
+class _CityRun:
     """Data and state of one drive: last unknowns and growth of the levels."""
 
     def __init__(

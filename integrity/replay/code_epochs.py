@@ -37,11 +37,13 @@ LARGEST_TURN_RAD = 2.0  # deviation of a heading that is not known
 
 @dataclass(frozen=True)
 class TrackedEpochs:
-    """Epochs, and what only an assessment knows: true positions (E, 3) in their frame [m], and where known (E,)."""
+    """Epochs, and what only an assessment knows: true positions (E, 3) in their frame [m], and where known (E,);
+    origin (3,) of the frame ECEF [m], where it is known."""
 
     epochs: CodeEpochs
     truth_enu_m: Array
     known: Bools
+    origin_ecef_m: Array | None = None
 
 
 def recorded_epochs(drive: SmartLoc, cn0_min_dbhz: float = LEAST_DBHZ) -> TrackedEpochs:
@@ -81,7 +83,10 @@ def recorded_epochs(drive: SmartLoc, cn0_min_dbhz: float = LEAST_DBHZ) -> Tracke
         ecef, known = drive.truth.at(time)
         truth = frame.local(ecef)
     return TrackedEpochs(
-        CodeEpochs(**{**vars(epochs), "step_enu_m": step, "step_sigma_m": sigma}).checked(), truth, known
+        CodeEpochs(**{**vars(epochs), "step_enu_m": step, "step_sigma_m": sigma}).checked(),
+        truth,
+        known,
+        frame.origin_ecef_m,
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.progress import Progress, silent
+from lanebound.integrity.replay.imu_outages_report import imu_files
 from lanebound.integrity.replay.pair_files import find_pair, observation_files
 
 __all__ = ["kind_of", "replay_folder"]
@@ -15,13 +16,14 @@ __all__ = ["kind_of", "replay_folder"]
 KINDS = {
     "smartloc": "*_Input.txt(.gz) and *_GT.txt of smartLoc",
     "comma2k19": "global_pose, CAN and IMU of a comma2k19 segment",
+    "imu_log": "an inertial log NAME.csv with NAME.csv.tag beside a solution .pos of RTKLIB",
     "rinex": "two observation files and navigation in RINEX 3, such as rover.obs, base.obs and base.nav",
 }
 POSITION_FILE = "{}_position.txt"  # latitude and longitude [deg], ellipsoidal height [m]
 
 
 def kind_of(folder: Path) -> str:
-    """Detect the kind of data set in a folder: ``smartloc``, ``comma2k19`` or ``rinex``.
+    """Detect the kind of data set in a folder: ``smartloc``, ``comma2k19``, ``imu_log`` or ``rinex``.
 
     Raises
     ------
@@ -32,6 +34,8 @@ def kind_of(folder: Path) -> str:
         return "smartloc"
     if (folder / "global_pose").is_dir():
         return "comma2k19"
+    if imu_files(folder):
+        return "imu_log"
     if observation_files(folder):
         return "rinex"
     known = "; ".join(f"{what} ({name})" for name, what in KINDS.items())
@@ -45,6 +49,7 @@ def replay_folder(
     progress: Progress = silent,
     service: Sequence[str] = (),
     navigator: str | None = None,
+    roads: Path | None = None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a data set; returns the statistics and the files written into ``out``.
 
@@ -52,9 +57,11 @@ def replay_folder(
     and ``changes`` are those of its configuration.
 
     ``changes`` are overrides of the configuration of the kind: :class:`~.city_report.CityReplay`,
-    :class:`~.outages.OutageConfig` or :class:`~.baseline.BaselineConfig`. ``progress`` is called with the number of
-    solved epochs and the total number. ``navigator`` names a filter, by kind or preset, in place of the method of the
-    kind of data set; ``changes`` are then those of :class:`~.filter_drive.FilterReplayConfig`.
+    :class:`~.outages.OutageConfig`, :class:`~.imu_outages.ImuOutageConfig` or :class:`~.baseline.BaselineConfig`.
+    ``progress`` is called with the number of solved epochs and the total number. ``navigator`` names a filter, by kind
+    or preset, in place of the method of the kind of data set; ``changes`` are then those of
+    :class:`~.filter_drive.FilterReplayConfig`. With ``roads``, a map as GeoJSON, the context monitor judges the drive;
+    ``changes`` are of :class:`~.context_epochs.ContextReplayConfig`.
 
     Raises
     ------
@@ -62,6 +69,14 @@ def replay_folder(
         The folder is of no known kind, or a file or a change is invalid.
     """
     kind, changed = kind_of(folder), dict(changes or {})
+    if kind == "imu_log" and (service or navigator is not None or roads is not None):
+        option = "service" if service else "roads" if navigator is None else "navigator"
+        raise InputError(f"{option} must be left out for an inertial log, which has neither codes nor wheels, "
+                         f"got {navigator or roads or ', '.join(service)}: replay it alone")  # fmt: skip
+    if roads is not None:
+        from lanebound.integrity.replay.context_report import write_context
+
+        return write_context(folder, kind, roads, out, changed, progress)
     if service:
         from lanebound.integrity.replay.service_report import write_service
 
@@ -82,6 +97,11 @@ def replay_folder(
         from lanebound.integrity.replay.outages_report import write_outages
 
         return write_outages(folder, out, OutageConfig.build(None, changed))
+    if kind == "imu_log":
+        from lanebound.integrity.replay.imu_outages import ImuOutageConfig
+        from lanebound.integrity.replay.imu_outages_report import write_imu_outages
+
+        return write_imu_outages(folder, out, ImuOutageConfig.build(None, changed))
     return _replay_rinex(folder, out, changed, progress)
 
 

@@ -19,7 +19,7 @@ from lanebound.integrity.replay.outages import Motion, OutageConfig, OutageError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["S1_AGE_S", "S1_DRIFT_M", "S1_HEADING_DEG", "S1_SPEED_MPS", "by_age", "write_outages"]
+__all__ = ["S1_AGE_S", "S1_DRIFT_M", "S1_HEADING_DEG", "S1_SPEED_MPS", "by_age", "drift_figure", "write_outages"]
 
 Array = NDArray[np.float64]
 
@@ -92,16 +92,14 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
     out.mkdir(parents=True, exist_ok=True)
     summary = out / "replay.json"
     summary.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    drift = save(_drift_figure(outages, config), out / "drift.png")
+    drift = save(drift_figure(outages, config.risk.integrity_risk), out / "drift.png")
     return figures, [summary, drift, save(_sawtooth_figure(motion, config), out / "sawtooth.png")]
 
 
-def _drift_figure(outages: OutageErrors, config: OutageConfig) -> Figure:
+def drift_figure(outages: OutageErrors, risk: float) -> Figure:
     """Error of every outage and median level against the age of the outage."""
     figure = new_figure(11.0, 4.4)
-    figure.suptitle(
-        "Dead reckoning in artificial outages" + risk_text(config.risk.integrity_risk), fontsize=12, color=INK
-    )
+    figure.suptitle("Dead reckoning in artificial outages" + risk_text(risk), fontsize=12, color=INK)
     for q, name in enumerate(("along track", "cross track")):
         axes = figure.add_subplot(1, 2, q + 1)
         lines = axes.plot(outages.age_s, np.abs(outages.error_m[..., q]).T, color=INK, alpha=0.25, linewidth=0.6)

@@ -24,6 +24,7 @@ from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.recorded.smartloc import Odometry, SmartLoc
 from lanebound.integrity.replay.code_epochs import LEAST_DBHZ, recorded_epochs
 from lanebound.integrity.replay.differences import Arc, arc_of, matched, troposphere_m
+from lanebound.integrity.replay.doppler_rates import doppler_rates
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.signal_choice import BAND_MHZ, LETTERS, Choice
 from lanebound.integrity.sky.broadcast import Ephemerides, positions
@@ -71,6 +72,8 @@ class ServiceEpochs:
     rough_en_m : (E, 2) positions by plain least squares of the codes [m], to which a heading is fitted; None without
     truth_enu_m, known : (E, 3) true position and whether it is known (E,); only an assessment reads them
     reference : what the truth is
+    origin_ecef_m : (3,) origin of the frame; None where it is not known
+    rate_mps : (E, S) range rates by Doppler observables, ``-e.v + drift``, 0 for none; None without
     """
 
     time_s: Array
@@ -88,6 +91,8 @@ class ServiceEpochs:
     truth_enu_m: Array
     known: Bools
     reference: str
+    origin_ecef_m: Array | None = None
+    rate_mps: Array | None = None
 
     @property
     def has_carrier(self) -> bool:
@@ -121,7 +126,7 @@ def epochs_of_drive(drive: SmartLoc) -> ServiceEpochs:
         cn0_dbhz=np.ascontiguousarray(codes.cn0_dbhz[:, keep]), code_m=y, phase_m=np.zeros_like(y),
         lost=np.zeros(y.shape, np.bool_), odometry=moved, station=None,
         rough_en_m=solve_codes(codes).x_m[:, :2], truth_enu_m=found.truth_enu_m, known=found.known,
-        reference="ground truth of the recording",
+        reference="ground truth of the recording", origin_ecef_m=found.origin_ecef_m,
     )  # fmt: skip
 
 
@@ -164,13 +169,15 @@ def epochs_of_receiver(
     for k, place in places.items():
         true[k], known[k] = (place - origin) @ axes, True
     time = rover.since(int(rover.week[0]))
+    rates = doppler_rates(rover, own.codes, table, np.where(np.isfinite(near), near, origin))
     return ServiceEpochs(
         time_s=time - time[0], system=np.ascontiguousarray(own.satellites[:, 0]), prn=own.satellites[:, 1],
         los_enu=los, tracked=own.tracked, cn0_dbhz=np.ascontiguousarray(own.arc.cn0_dbhz[..., 0]), code_m=code,
         phase_m=phase, lost=own.arc.lost, odometry=None,
         station=None if station is None else _corrections(rover, own, _Receiver(station[0], table, ionosphere),
                                                           station),
-        rough_en_m=None, truth_enu_m=true, known=known, reference=reference,
+        rough_en_m=None, truth_enu_m=true, known=known, reference=reference, origin_ecef_m=origin,
+        rate_mps=rates if rates.any() else None,
     )  # fmt: skip
 
 
@@ -211,7 +218,7 @@ class _Receiver:
     def __init__(self, observations: Observations, table: Ephemerides, ionosphere: Klobuchar) -> None:
         if not len(table):
             raise InputError("table must hold messages of GPS, Galileo, BeiDou or QZSS, has none: pass the navigation")
-        codes = _first_codes(observations)
+        self.codes = codes = _first_codes(observations)
         wavelength = np.ascontiguousarray(WAVELENGTH_M[:, [0, 1]])
         self.arc: Arc = arc_of(observations, codes, Choice(codes, codes, wavelength, 1), table)
         self.satellites, self.tow_s, self.ionosphere = table.satellites, observations.tow_s, ionosphere

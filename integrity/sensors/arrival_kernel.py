@@ -140,7 +140,7 @@ def _add_direct(rules, path, skyline, edge, way, fluctuation, wavelength, arriva
         arrival.rate_mps = _dot(here, way.v) - _dot(from_edge, way.v)
     if path == FOLIAGE:
         loss += rules.foliage_loss - 2.0 * fluctuation  # with cn0_sigma of the receiver: tripled below trees
-    arrival.amplitude = 10.0 ** (-0.05 * loss)
+    arrival.amplitude = 10.0 ** (-0.05 * loss) if loss != 0.0 else 1.0
     return kind
 
 
@@ -163,7 +163,7 @@ def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-u
     return arrival.amplitude > 0.0
 
 
-@jit(borrows=True)
+@jit(borrows=True, forceinline=True)
 def find_arrivals(rules, reception, v, s, way, fluctuation, wavelength, arrivals, sources):  # type: ignore[no-untyped-def]
     """Fill arrivals and sources, at most 3, of satellite s at vehicle v: their number, and the kind of the direct one.
 
@@ -201,7 +201,7 @@ def _recall(memory, arrivals, sources, count):  # type: ignore[no-untyped-def]
         memory.sources[i], memory.excess[i] = (sources[i], arrivals[i].excess_m) if i < count else (NOTHING, 0.0)
 
 
-@jit(borrows=True)
+@jit(borrows=True, forceinline=True)
 def track(rules, band, count, work, v, chance, bands, memory):  # type: ignore[no-untyped-def]
     """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate,
     and the present power over that of an unobstructed signal [dB].
@@ -223,7 +223,7 @@ def track(rules, band, count, work, v, chance, bands, memory):  # type: ignore[n
         work.code[v, b], work.carrier[v, b] = sum_.code_m, memory.carrier[b]
         if b == 0:
             rate = sum_.rate_mps
-            fade = 20.0 * math.log10(max(sum_.amplitude, 1e-6))
+            fade = 20.0 * math.log10(max(sum_.amplitude, 1e-6)) if sum_.amplitude != 1.0 else 0.0
             new = old == NOTHING
             memory.fade += (1.0 if new else rules.fade_gain) * (fade - memory.fade)
             memory.power += (1.0 if new else rules.lock_gain) * (sum_.amplitude * sum_.amplitude - memory.power)

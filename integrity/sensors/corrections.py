@@ -37,10 +37,9 @@ __all__ = [
     "CorrectionsConfig",
     "CorrectionsState",
     "NetworkState",
-    "advance_network",
     "initial_network",
     "initial_state",
-    "step",
+    "link_parameters",
 ]
 
 Array = NDArray[np.float64]
@@ -191,13 +190,6 @@ def initial_network(config: CorrectionsConfig, dt_s: float, streams: Streams) ->
     )
 
 
-def advance_network(config: CorrectionsConfig, network: NetworkState, dt_s: float, streams: Streams) -> None:
-    """Advance the networks by one epoch, in place; ``streams`` are those of the areas."""
-    network.epoch += 1
-    z = streams.normal("network", 2) if config.outage_per_h > 0.0 else np.empty((0, 2))
-    kernel.advance_network(network.epoch, link_parameters(config, dt_s)[0], z, network.rows)
-
-
 def initial_state(
     config: CorrectionsConfig, network: NetworkState, satellites: int, dt_s: float, streams: Streams
 ) -> CorrectionsState:
@@ -217,54 +209,6 @@ def initial_state(
     links = np.zeros(batch, kernel.LINK)
     links["newest"], links["outage_left"], links["up"] = -1, np.where(down, left, 0), network.up & ~down
     return CorrectionsState(links, np.zeros((batch, satellites), STATION))
-
-
-def step(
-    config: CorrectionsConfig,
-    state: CorrectionsState,
-    network: NetworkState,
-    sent: Records,
-    dt_s: float,
-    lost: NDArray[np.bool_],
-    streams: Streams,
-) -> Array:
-    """Compute the age of the newest reference data at the end of an epoch; ``state`` advances in place.
-
-    The length of an outage is ``min(median exp(sd z), max)``. Without outages the age increases from ``latency`` to
-    ``latency + interval - dt`` in each interval.
-
-    Parameters
-    ----------
-    network : NetworkState
-        Of one area or one for each vehicle, advanced to this epoch.
-    sent : (A, S) of STATION, the newest message of each area; a vehicle that receives it keeps it in ``state.held``
-    dt_s : float, length of an epoch, the same in every call
-    lost : (B,) bool, the link is cut by a fault
-
-    Returns
-    -------
-    (B,) age [s], inf before the first message
-
-    Raises
-    ------
-    InputError
-        ``lost``, streams, networks or messages do not fit the number of vehicles of ``state``.
-    """
-    batch = state.links.shape[0]
-    if lost.shape != (batch,) or streams.batch != batch or network.up.shape[0] not in (1, batch):
-        raise InputError(
-            f"lost, streams and network must serve {batch} vehicles, got {lost.shape}, {streams.batch} and "
-            f"{network.up.shape[0]} areas"
-        )
-    if sent.shape != (network.up.shape[0], *state.held.shape[1:]):
-        raise InputError(f"sent must be of {network.up.shape[0]} areas with {state.held.shape[1:]}, got {sent.shape}")
-    u = z = np.empty((0, 1))
-    if config.outage_per_h > 0.0:
-        u, z = streams.uniform("corrections", 1), streams.normal("corrections", 1)
-    rows = kernel.LinkRows(link_parameters(config, dt_s), network.rows, sent, state.links, state.held, u, z)
-    age = np.empty(batch)
-    kernel.advance(0, batch, network.epoch, rows, lost, age)
-    return age
 
 
 def link_parameters(config: CorrectionsConfig, dt_s: float) -> Records:

@@ -248,7 +248,7 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
         cn0_decay=np.exp(-dt_s / c.cn0_tau_s),
         cn0_gain=np.sqrt(-np.expm1(-2.0 * dt_s / c.cn0_tau_s)),
         track_min=c.track_min_dbhz,
-        phase_min=c.phase_min_dbhz,
+        least_snr=gk.COHERENT_S * math.exp(gk.LN10 * 0.1 * c.phase_min_dbhz),
         lock_intervals=c.lock_window_s / gk.COHERENT_S,
         code_delay=c.code_delay_s - 1e-9,
         phase_delay=c.phase_delay_s - 1e-9,

@@ -56,7 +56,7 @@ GNSS_RULES = record(
     cn0_decay="its decay over an epoch [-]",
     cn0_gain="its gain on a new draw [-]",
     track_min="lowest C/N0 of code tracking [dB-Hz]",
-    phase_min="lowest C/N0 of carrier tracking [dB-Hz]",
+    least_snr="lowest T C/N0 of carrier tracking, T of a coherent interval [-]",
     lock_intervals="coherent intervals in its window [-]",
     code_delay="time to reacquire the code [s]",
     phase_delay="time to reacquire the carrier [s]",
@@ -260,14 +260,14 @@ def open_level(rules, sine, drop, fluctuation):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def sees_lock(rules, level, noise, tracked):  # type: ignore[no-untyped-def]
-    """Whether the lock detector finds a carrier above ``phase_min``; ``level`` of the unobstructed signal [dB-Hz].
+    """Whether the lock detector finds a carrier above ``least_snr``; ``level`` of the unobstructed signal [dB-Hz].
 
     It estimates the power in a window of K coherent intervals T. With ``s = T C/N0`` and complex noise of variance 1,
     a correlation has the power ``abs(sqrt(s) + n)^2``, of mean s + 1 and variance 1 + 2 s.
     """
     snr = COHERENT_S * math.exp(LN10 * 0.1 * level) * tracked.power
     estimate = snr + math.sqrt((1.0 + 2.0 * snr) / rules.lock_intervals) * noise
-    return estimate >= COHERENT_S * math.exp(LN10 * 0.1 * rules.phase_min)
+    return estimate >= rules.least_snr
 
 
 @jit(borrows=True)
@@ -331,8 +331,9 @@ def follow(rules, level, received, locked, u, signal):  # type: ignore[no-untype
         signal.ambiguity[0] = whole(signal.ambiguity[0]) + 2.0 * math.floor(2000.0 * digits(u.kind, 1e6) - 1000.0)
         signal.ambiguity[1] = whole(signal.ambiguity[1]) + 2.0 * math.floor(2000.0 * digits(u.kind, 1e3) - 1000.0)
     elif has_phase:
-        if u.slip < rules.dt * rules.slip_rate * weakness(rules, level):
-            lost = slip(rules, u.kind, signal)
+        reference = rules.dt * rules.slip_rate
+        if level < rules.slip_cn0 or u.slip < reference:  # a stronger signal slips at most as often as at slip_cn0
+            lost = u.slip < reference * weakness(rules, level) and slip(rules, u.kind, signal)
         if settle_half_cycle(rules, signal):
             lost = True
     return received and signal.code_s >= rules.code_delay, has_phase, lost
@@ -369,7 +370,7 @@ def common_delay(rules, slant, age, slow):  # type: ignore[no-untyped-def]
     return rules.age_rate * age * slow.age + delay * slow.tropo
 
 
-@jit(borrows=True)
+@jit(borrows=True, forceinline=True)
 def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, code, phase):  # type: ignore[no-untyped-def]
     """Code and phase (2,) of a satellite of system c: what is common to all, and what each band adds."""
     iono, root = rules.iono_sigma * slow.iono, math.sqrt(path.clear)
@@ -397,7 +398,7 @@ def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, co
             )
 
 
-@jit(borrows=True)
+@jit(borrows=True, forceinline=True)
 def by_paths(receivers, reception, v, s, way, system, u):  # type: ignore[no-untyped-def]
     """Reception by the paths of ray casting: (received, lock broken, range rate error [m/s], present power over that of
     the unobstructed signal [dB]); sets ``reception.path``.

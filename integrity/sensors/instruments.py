@@ -19,6 +19,7 @@ from lanebound.integrity.core.streams import ZIGGURAT, Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors.area import AreaState, advance_area
 from lanebound.integrity.sensors.augmentation import Corrections, corrections_of, receive_messages
+from lanebound.integrity.sensors.barometer import BarometerSample, BarometerState
 from lanebound.integrity.sensors.chassis import ChassisSample, ChassisState
 from lanebound.integrity.sensors.compass import CompassSample, CompassState
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, CorrectionsState, link_parameters
@@ -77,6 +78,7 @@ class Measurements:
     odometer: OdometerSample
     chassis: ChassisSample | None = None
     compass: CompassSample | None = None
+    barometer: BarometerSample | None = None
 
 
 @dataclass
@@ -94,6 +96,7 @@ class InstrumentState:
     odometer: OdometerState
     chassis: ChassisState | None
     compass: CompassState | None
+    barometer: BarometerState | None
 
     def __post_init__(self) -> None:
         self.sensing, self.locating = LastingBundle(), LastingBundle()

@@ -137,6 +137,8 @@ def _disturbance(other, main, loops):  # type: ignore[no-untyped-def]
 def combine(arrivals, count, tracked, loops):  # type: ignore[no-untyped-def]
     """The composite of the first ``count`` arrivals (records ARRIVAL), 1 to MOST_ARRIVALS, of which one is tracked."""
     main, wave = arrivals[tracked], loops.wavelength_m
+    if count == 1:
+        return Composite(main.excess_m, main.rate_mps, main.amplitude)
     re, im, re_rate, im_rate = 1.0, 0.0, 0.0, 0.0
     weights, delays = (0.0, 0.0), (0.0, 0.0)
     for i in range(count):
@@ -164,6 +166,18 @@ def follow_carrier(arrivals, count, tracked, loops, last_m):  # type: ignore[no-
     unless the others together exceed the tracked arrival.
     """
     main, wave = arrivals[tracked], loops.wavelength_m
+    first, angle = _turn(arrivals, count, tracked, loops) if count > 1 else (0.0, 0.0)
+    carrier = main.excess_m + wave * (main.phase_rad + angle) / TWO_PI
+    if not last_m == last_m:
+        return carrier
+    began = main.before_m + wave * (main.phase_rad + first) / TWO_PI
+    return carrier + wave * math.floor((last_m - began) / wave + 0.5)
+
+
+@jit
+def _turn(arrivals, count, tracked, loops):  # type: ignore[no-untyped-def]
+    """Phase of the sum against the tracked arrival at the last epoch, and now, followed in between."""
+    main, wave = arrivals[tracked], loops.wavelength_m
     sizes, phases, changes = (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)
     for i in range(count):
         if i == tracked:
@@ -184,8 +198,4 @@ def follow_carrier(arrivals, count, tracked, loops, last_m):  # type: ignore[no-
         elif re * re + im * im >= LEAST_POWER:
             turn = math.atan2(im, re) - angle
             angle += turn - TWO_PI * math.floor(turn / TWO_PI + 0.5)
-    carrier = main.excess_m + wave * (main.phase_rad + angle) / TWO_PI
-    if not last_m == last_m:
-        return carrier
-    began = main.before_m + wave * (main.phase_rad + first) / TWO_PI
-    return carrier + wave * math.floor((last_m - began) / wave + 0.5)
+    return first, angle

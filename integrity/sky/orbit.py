@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import require_in_range
-from lanebound.integrity.core.frames import WGS84_A_M
+from lanebound.integrity.core.frames import WGS84_A_M, wrap_angle
 
 __all__ = [
     "EARTH_RATE_RADPS", "MU_M3PS2", "OrbitElements", "nodal_regression_radps", "propagate", "rotated_with_earth",
@@ -91,7 +91,7 @@ def solve_kepler(mean_anomaly_rad: ArrayLike, eccentricity: ArrayLike) -> Array:
     """
     e = require_in_range("eccentricity", eccentricity, 0.0, 1.0, high_open=True)
     whole = np.asarray(mean_anomaly_rad, dtype=np.float64)
-    m = np.remainder(whole + np.pi, 2.0 * np.pi) - np.pi
+    m = wrap_angle(whole)
     big = m + 0.85 * e * np.sign(np.sin(m))  # Danby's starter converges for every e < 1
     for _ in range(20):
         s, c = np.sin(big), np.cos(big)

@@ -19,7 +19,7 @@ from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of
 from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli import app
-from lanebound.agents.cli import drive as command
+from lanebound.agents.cli import drive_tables as tables
 from lanebound.agents.cli.progress import _Lines
 from lanebound.agents.drivers import AGENTS, make_agent
 from lanebound.agents.episodes import COLUMNS, EpisodeLog, drive, open_env
@@ -147,15 +147,16 @@ def test_the_table_of_episodes_fits_into_eighty_characters(capsys, monkeypatch):
     row = dict.fromkeys([column.name for column in COLUMNS], 0.0) | {"seed": 10_000, "mode": "rtk", "step": 900}
     end = {"time_s": 180.0, "cost": 1196.9, "reward": -123.4, "off_road": True}
     outcome = outcome_of([row | {"time_s": 179.8}, row | end], 180.0, UNNAMED._replace(seed=10_000))
-    command._report("integrity_aware in LaneKeeping", [outcome], 15.0, {}, False)
+    position = tables.position_of([row])
+    tables.print_report("integrity_aware in LaneKeeping", [outcome], position, 15.0, {}, False)
     shown = capsys.readouterr().out
     assert max(map(len, shown.splitlines())) <= 80
     assert "80 x the limit 15" in shown
 
 
 def test_a_cost_is_told_in_terms_of_its_limit():
-    assert command._against(196.9, 15.0) == "13 x the limit 15"
-    assert command._against(3.0, 15.0) == "within the limit 15"
+    assert tables._against(196.9, 15.0) == "13 x the limit 15"
+    assert tables._against(3.0, 15.0) == "within the limit 15"
 
 
 def rows_of_a_drive(tmp_path: Path, filmed: bool) -> list[dict[str, Any]]:
@@ -196,12 +197,27 @@ def test_measures_weigh_episodes_by_steps_where_shares_are_of_steps():
         return outcome_of([row | {"step": k, "time_s": 0.2 * k, **given} for k in range(steps + 1)], 1.0)
 
     short, long = episode(1, available=True, mode="rtk"), episode(3, available=False, mode="doppler")
-    found = command.measures([short, long])
+    found = tables.measures([short, long])
     assert (short.ended, short.steps, long.steps) == ("collision", 1, 3)
     assert found["availability"] == found["share of rtk"] == pytest.approx(0.25)
     assert found["HMI steps"] == 4.0
     assert found["return"] == pytest.approx(6.0)
     assert math.isclose(found["collision rate"], 1.0)
+
+
+def test_position_of_a_log_counts_decisions_and_missing_levels():
+    row = {"step": 1, "err_ct_m": 0.2, "pl_ct_m": 0.5, "al_at_m": 1.5, "al_ct_m": 0.7, "pl_at_m": 4.0}
+    start = {**row, "step": 0, "err_at_m": 99.0}
+    steps = [{**row, "err_at_m": error} for error in (-3.0, 1.0, 1.0, 1.0)]
+    steps[0] |= {"pl_ct_m": math.inf, "step": 2}
+    found = tables.position_of([start, *steps])
+    assert found["along"] == {
+        "error_mean_m": 1.5, "error_median_m": 1.0, "error_max_m": 3.0, "PL_median_m": 4.0, "PL_p95_m": 4.0,
+        "AL_m": 1.5,
+    }  # fmt: skip
+    assert found["across"]["PL_median_m"] == 0.5
+    assert found["across"]["PL_p95_m"] is None
+    assert tables.position_of([start]) == {}
 
 
 def test_gymnasium_records_the_environments_too(tmp_path):

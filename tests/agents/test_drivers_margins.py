@@ -23,7 +23,7 @@ from lanebound.envs.batch.costs_kernel import rss_distance_m
 from lanebound.envs.batch.rules import cost_figures
 from lanebound.envs.costs import CostConfig
 from lanebound.envs.sky import SKY_LEVELS
-from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 GIVEN: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "sky": "open"}
 LIMIT_MPS = 50.0 / 3.6
@@ -149,6 +149,17 @@ def test_an_alert_slows_and_dead_reckoning_beyond_its_time_stops(env):
     late = {"integrity__since_rtk": c.dead_reckoning_s + 1.0} | alert
     assert driver.wanted_speed(seen(reader, **late)) == 0.0
     assert driver.wanted_speed(seen(reader, integrity__since_rtk=59.0)) > slow  # by code alone, without an alert
+
+
+def test_a_level_across_stops_the_car_where_that_is_configured(env):
+    driver = IntegrityAware(env, AwareConfig(stop_ct_m=4.5))
+    wide = {"integrity__since_rtk": 5.0, "integrity__ratio_ct": 3.0, "integrity__pl_ct": 4.6}
+    assert driver.wanted_speed(seen(driver.reader, integrity__alert=1.0, **wide)) == 0.0
+    assert driver.wanted_speed(seen(driver.reader, integrity__alert=1.0, **(wide | {"integrity__pl_ct": 4.4}))) > 0.0
+    assert driver.wanted_speed(seen(driver.reader, **wide)) > 0.0  # without an alert
+    assert IntegrityAware(env, AwareConfig()).wanted_speed(seen(driver.reader, integrity__alert=1.0, **wide)) > 0.0
+    with pytest.raises(ConfigError, match=r"stop_ct_m must be <= 10, .* got 11: lower it"):
+        IntegrityAware(env, AwareConfig(stop_ct_m=11.0))
 
 
 def test_where_only_the_link_is_out_the_car_waits(env):

@@ -1,5 +1,6 @@
 """The context study: true links, counts of a short run, resumption, the command."""
 
+import csv
 import json
 
 import numpy as np
@@ -59,10 +60,15 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
         for counts in monitor["rules"].values():
             assert counts["pooled"]["points"] == 120
         rules = monitor["rules"]
+        assert sum(monitor["reasons"]) == 120
         assert rules["never"]["pooled"]["false_alarms"] == rules["always"]["pooled"]["missed"] == 0
         assert rules["never"]["pooled"]["missed"] == rules["never"]["pooled"]["wrong"]
         assert rules["all phases"]["pooled"]["false_alarms"] >= rules["without map"]["pooled"]["false_alarms"]
         assert rules["all phases"]["pooled"]["missed"] <= rules["without map"]["pooled"]["missed"]
+    far = found["assumptions"]["GPS alone, limit 50 m, P_FA 5e-3, P_MD 5e-5"]["available"]
+    assert far[0] > found["assumptions"]["GPS alone"]["available"][0]  # the limit is that of the assumption
+    printed = found["assumptions"]["S5: as printed, GPS alone, weak signals"]["available"]
+    assert printed[0] > found["assumptions"]["GPS alone"]["available"][0]
     assert {path.name for path in tmp_path.glob("*.png")} == {"threshold.png", "rules.png", "matchers.png"}
     before = (tmp_path / "parts" / "mixed-0.json").stat().st_mtime_ns
     assert run_context(config, tmp_path) == tables
@@ -79,10 +85,11 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
         "Speed phase",
         "Charges",
         "receiver uses",
+        "Why the driver is warned",
     ):
         assert words in told.output
     for rows in (made.ocdr_rows, made.rule_rows, made.matcher_rows, made.speed_rows, made.application_rows,
-                 made.assumption_rows):  # fmt: skip
+                 made.assumption_rows, made.reason_rows):  # fmt: skip
         head, cells = rows(tables)
         assert cells
         assert all(len(row) == len(head) for row in cells)
@@ -98,5 +105,22 @@ def test_drive_shows_the_light_and_logs_it(tmp_path) -> None:
     assert rows[0].startswith("episode,time_s,light,reason")
     assert rows[1].startswith("0,0.0,amber,COLLECTING,")
     assert any(row.startswith("0,8.0,green,TRUSTED,3,") for row in rows)
-    assert "display: green 6 s, amber 8 s, red 0 s; it changed 1 time\n" in told.stderr
-    assert json.loads(told.stdout)
+    assert "light: green 6 s, amber 8 s, red 0 s; it changed 1 time\n" in told.stderr
+    assert json.loads(told.stdout)["files"]["warnings"] == str(out / "warnings.csv")
+
+
+def test_the_log_of_warnings_needs_no_display_and_counts_each_episode_from_its_start(tmp_path) -> None:
+    out, rounds = tmp_path / "drive", ["drive", "LaneKeeping", "--sky", "open", "--set", "duration_s=10", "--json"]
+    watched = ["--set", "navigator.context.warns_at=red", "--episodes", "2", "--out", str(out)]
+    told = CliRunner().invoke(app, [*rounds, *watched])
+    assert told.exit_code == 0, told.output
+    with (out / "warnings.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["episode"], row["time_s"], row["light"]) for row in rows] == [
+        (episode, time, light) for episode in "01" for time, light in (("0.0", "amber"), ("8.0", "green"))
+    ]  # the approach before an episode is not in its clock
+    assert "light: green 4 s, amber 16 s, red 0 s; it changed 2 times\n" in told.stderr
+    plain = CliRunner().invoke(app, [*rounds, "--out", str(out)])
+    assert plain.exit_code == 0, plain.output
+    assert "warnings" not in json.loads(plain.stdout)["files"]
+    assert not (out / "warnings.csv").exists()

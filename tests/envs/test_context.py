@@ -17,6 +17,7 @@ from lanebound.envs.rendering.driver_display import DISPLAY_PX, with_display
 from lanebound.envs.rendering.theme import THEMES
 from lanebound.envs.road_map import road_map_of
 from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.monitoring.alerts import AlertReason
 
 ENTRIES = ("context_warning", "context_phases", "context_score", "link_probability")
 WATCHED: dict[str, Any] = {"sky": "open", "duration_s": 20.0, "navigator": {"context": {}}}
@@ -30,8 +31,10 @@ def place_of(config: Any) -> dict[str, int]:
 
 def test_the_index_has_the_entries_where_a_monitor_is_configured() -> None:
     for config, count in (({}, 0), (WATCHED, 4), (CODES, 4)):
-        found = place_of(make_config("lanebound/LaneKeeping-v0", config))
-        assert len(found) == count
+        made = make_config("lanebound/LaneKeeping-v0", config)
+        assert len(place_of(made)) == count
+        reasons = [entry.name for entry in entries(made.observation) if entry.name.startswith("reason_")]
+        assert ("reason_context_warning" in reasons) is bool(count)
     blind = {**WATCHED, "observation": {"integrity": "blind"}}
     assert not place_of(make_config("lanebound/LaneKeeping-v0", blind))
     with pytest.raises(ConfigError, match=r"context\.alert is not a known key"):
@@ -76,16 +79,18 @@ def test_a_warning_costs_what_is_asked_for_while_the_car_drives_on() -> None:
     assert b["cost"] - a["cost"] == pytest.approx(2.0 * b["cost_context"])
 
 
-@pytest.mark.parametrize("kind", ["rtk_reckoning", "monitored_codes"])
-def test_the_engine_has_the_reports_of_single_environments(kind: str) -> None:
-    navigator = {"kind": kind, "context": {"interval_s": 0.5, "alerts": True}}
+@pytest.mark.parametrize(
+    ("kind", "judges"), [("rtk_reckoning", "vehicle"), ("rtk_reckoning", "codes"), ("monitored_codes", "codes")]
+)
+def test_the_engine_has_the_reports_of_single_environments(kind: str, judges: str) -> None:
+    navigator = {"kind": kind, "context": {"interval_s": 0.5, "alerts": True, "judges": judges}}
     config = {**WATCHED, "navigator": navigator, "observation": {"form": "flat"}}
     env = gymnasium.make("lanebound/LaneKeeping-v0", config=config)
     engine = gymnasium.make_vec("lanebound/LaneKeeping-v0", num_envs=2, config=config)
     places = list(place_of(env.unwrapped.config).values())  # type: ignore[attr-defined]
     one, _ = env.reset(seed=5)
     many, _ = engine.reset(seed=5)
-    changed = 0
+    changed, reasons = 0, set()
     for _ in range(44):
         np.testing.assert_allclose(many[0][places], one[places], atol=1e-6)
         before = one[places]
@@ -93,10 +98,14 @@ def test_the_engine_has_the_reports_of_single_environments(kind: str) -> None:
         many, *_, infos = engine.step(np.zeros((2, 2), np.float32))
         assert infos["cost_context"][0] == info["cost_context"]
         assert infos["alert"][0] == info["alert"]
+        assert infos["reason"][0] == info["reason"]
+        reasons.add(AlertReason.from_code(info["reason"]).name)
         changed += bool((one[places] != before).any())
         if over:
             break
     assert changed
+    said = "BOTH" if kind == "monitored_codes" else "CONTEXT_WARNING"  # levels of codes exceed the limits of a lane
+    assert said in reasons
     env.close()
     engine.close()
 

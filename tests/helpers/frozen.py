@@ -124,7 +124,8 @@ def _drive(config: NavigatorConfig, track: SkyTrack, mask: SkyMask, road: Road) 
     for _ in range(EPOCHS):
         solution = navigator.step(drive.step(state, streams))
         for f in fields(solution):
-            rows.setdefault(f.name, []).append(np.asarray(getattr(solution, f.name)).copy())
+            if (value := getattr(solution, f.name)) is not None:
+                rows.setdefault(f.name, []).append(np.asarray(value).copy())
     return {name: np.stack(values) for name, values in rows.items()}
 
 

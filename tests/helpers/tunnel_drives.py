@@ -38,26 +38,29 @@ class Drive:
 
 def drive(
     config: NavigatorConfig, rate_radps: Array, open_s: float, vehicles: int, axle_m: float = 0.0, from_s: float = 0.0,
-    faults: FaultSchedule | None = None, seed: int = 0,
+    faults: FaultSchedule | None = None, seed: int = 0, speed_mps: Array | None = None, heading_rad: float = 0.0,
 ) -> Drive:  # fmt: skip
     """Drive at 12 m/s with this yaw rate of every epoch (T,), the first ``open_s`` seconds under the open sky.
 
     The reference point is ``axle_m`` ahead of the rear axle, which moves along the heading. Epochs from ``from_s`` on.
+    ``speed_mps`` (T,) is the speed in every epoch instead, ``heading_rad`` the heading at the beginning.
     """
-    cell_m, length_m = 10.0, MPS * DT_S * len(rate_radps) + 100.0
+    speeds = np.full(len(rate_radps), MPS) if speed_mps is None else speed_mps
+    arcs = np.cumsum(speeds) * DT_S
+    cell_m, length_m = 10.0, arcs[-1] + 100.0
     path = np.zeros((int(length_m / cell_m) + 1, 1, 1), dtype=np.uint8)
-    path[int(MPS * open_s / cell_m) :] = SignalPath.BLOCKED
+    path[int((arcs[round(open_s / DT_S) - 1] + 1e-9) / cell_m) :] = SignalPath.BLOCKED
     mask = SkyMask(path, np.zeros(path.shape, dtype=np.float32), 1, 1, cell_m, length_m, False)
     track = SkyTrack.from_config(config.sky, DT_S * len(rate_radps) + 1.0)
     navigator = Navigator(config, track, mask, list(range(seed, seed + vehicles)), faults=faults)
-    rear, heading, out = np.zeros(2), 0.0, []
-    before = _pose(rear, heading, rate_radps[0], axle_m, vehicles)
-    for k, rate in enumerate(rate_radps):
+    rear, heading, out = np.zeros(2), heading_rad, []
+    before = _pose(rear, heading, rate_radps[0], axle_m, vehicles, speeds[0])
+    for k, (rate, speed) in enumerate(zip(rate_radps, speeds, strict=True)):
         turn = rate * DT_S
-        rear = rear + MPS * DT_S * np.sinc(turn / (2.0 * np.pi)) * _forward(heading + 0.5 * turn)
+        rear = rear + speed * DT_S * np.sinc(turn / (2.0 * np.pi)) * _forward(heading + 0.5 * turn)
         heading += turn
-        after = _pose(rear, heading, rate, axle_m, vehicles)
-        time_s, arc = (k + 1) * DT_S, np.full(vehicles, (k + 1) * MPS * DT_S)
+        after = _pose(rear, heading, rate, axle_m, vehicles, speed)
+        time_s, arc = (k + 1) * DT_S, np.full(vehicles, arcs[k])
         poses, velocities, headings = zip(before, after, strict=True)
         solution = navigator.step(truth_between(time_s, DT_S, poses, velocities, headings, arc_m=arc))
         if time_s > from_s:
@@ -74,10 +77,12 @@ def _forward(heading: float) -> Array:
     return np.array([np.sin(heading), np.cos(heading)])
 
 
-def _pose(rear: Array, heading: float, rate: float, axle_m: float, vehicles: int) -> tuple[Array, Array, Array]:
+def _pose(
+    rear: Array, heading: float, rate: float, axle_m: float, vehicles: int, speed: float
+) -> tuple[Array, Array, Array]:
     """Position, velocity (B, 2) and heading (B,) of the reference point."""
     along, right = _forward(heading), np.array([np.cos(heading), -np.sin(heading)])
-    position, velocity = rear + axle_m * along, MPS * along + axle_m * rate * right
+    position, velocity = rear + axle_m * along, speed * along + axle_m * rate * right
     return np.tile(position, (vehicles, 1)), np.tile(velocity, (vehicles, 1)), np.full(vehicles, heading)
 
 

@@ -15,6 +15,7 @@ from lanebound.agents.cli import app
 from lanebound.agents.cli.options import film_rate
 from lanebound.agents.cli.output import format_value
 from lanebound.envs import EnvConfig, FaultLevel
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import parse_assignments
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 
@@ -114,8 +115,9 @@ def test_presets_are_listed_with_what_they_are_for():
 def test_a_navigator_is_named_with_and_without_its_folder(name):
     config = EnvConfig.build({"base": "highway-v0"}, {"navigator": name})
     assert config.navigator["imu"]["grade"] == NavigatorConfig.preset("navigators/tactical").imu.grade
-    assert NavigatorConfig.data_of("no_such_navigator") == {"kind": "no_such_navigator"}
-    assert NavigatorConfig.data_of("dense") == {"kind": "dense"}
+    for wrong in ("no_such_navigator", "dense"):
+        with pytest.raises(ConfigError, match=f"^must be a kind .* or a preset .*, got '{wrong}'"):
+            NavigatorConfig.data_of(wrong)
 
 
 @pytest.mark.parametrize("name", ["dense", "skies/dense"])

@@ -106,7 +106,7 @@ def refusal(data: dict, path: str = "", model: type[Config] = Receiver) -> list[
             "grade must be one of 'consumer' or 'tactical', got 'tactcal': did you mean 'tactical'?",
         ),
         ({"limit_m": -2}, "limit_m must be > 0, got -2: correct that value"),
-        ({"clock": 3}, "clock must be a mapping, got 3: correct that value"),
+        ({"clock": 3}, "clock must be a mapping, got 3: write keys and values"),
     ],
 )  # fmt: skip
 def test_refusals_name_path_bound_value_and_remedy(data, line):

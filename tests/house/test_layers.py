@@ -35,12 +35,12 @@ def test_kernels_know_kernels_alone():
 
 
 def test_class_names_are_unique():
-    """A public class has a name of its own: a reader finds what a name means without its module."""
+    """A class has a name of its own: a reader finds what a name means without its module."""
     places = defaultdict(list)
     for layer in ("integrity", "envs", "agents"):
         for path in sorted((ROOT / layer).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text())):
-                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                if isinstance(node, ast.ClassDef):
                     places[node.name].append(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert not {name: where for name, where in places.items() if len(where) > 1}
 

@@ -7,7 +7,7 @@ drift. This is what the context-aware monitor needs of a receiver; any code-base
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,11 @@ from lanebound.integrity.sky.systems import System
 if TYPE_CHECKING:
     from lanebound.integrity.sensors.instruments import Measurements
 
-__all__ = ["CodeErrorsConfig", "CodeFix", "code_fix"]
+__all__ = ["CodeErrorsConfig", "CodeFix", "JudgedFix", "VehicleFix", "code_fix", "doppler_fit"]
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Rows = slice | NDArray[np.int64]
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -54,6 +56,52 @@ class CodeErrorsConfig(Config):
         return self
 
 
+class JudgedFix(Protocol):
+    """Position and Doppler velocity of B vehicles, as the phases take them."""
+
+    @property
+    def located(self) -> Bools:
+        """(B,): there is a position."""
+
+    @property
+    def position_en_m(self) -> Array:
+        """(B, 2); anything finite without a position."""
+
+    @property
+    def covariance_en_m2(self) -> Array:
+        """(B, 2, 2)."""
+
+    @property
+    def has_velocity(self) -> Bools:
+        """(B,): there is a Doppler velocity."""
+
+    @property
+    def velocity_en_mps(self) -> Array:
+        """(B, 2), by Doppler."""
+
+    @property
+    def velocity_covariance(self) -> Array:
+        """(B, 2, 2) [m^2/s^2]."""
+
+
+class VehicleFix(NamedTuple):
+    """Position and velocity of B vehicles without the rows that they come from: of a navigator, or of a receiver."""
+
+    located: Bools
+    position_en_m: Array
+    covariance_en_m2: Array
+    has_velocity: Bools
+    velocity_en_mps: Array
+    velocity_covariance: Array
+
+    def rows(self, rows: Rows) -> VehicleFix:
+        """The fixes of some vehicles."""
+        return VehicleFix(
+            self.located[rows], self.position_en_m[rows], self.covariance_en_m2[rows], self.has_velocity[rows],
+            self.velocity_en_mps[rows], self.velocity_covariance[rows],
+        )  # fmt: skip
+
+
 class CodeFix(NamedTuple):
     """Position and velocity of B vehicles; ``codes`` and ``rates`` hold solutions, covariances and residuals.
 
@@ -63,6 +111,11 @@ class CodeFix(NamedTuple):
     codes: CodeFit
     rates: CodeFit
     hdop: Array | None = None
+
+    @property
+    def located(self) -> Bools:
+        """(B,): there is a position."""
+        return self.codes.solved
 
     @property
     def position_en_m(self) -> Array:
@@ -75,12 +128,50 @@ class CodeFix(NamedTuple):
         return np.asarray(self.codes.cofactor[:, :2, :2])
 
     @property
+    def has_velocity(self) -> Bools:
+        """(B,): there is a Doppler velocity."""
+        return self.rates.solved
+
+    @property
     def velocity_en_mps(self) -> Array:
         """(B, 2)."""
         return np.asarray(self.rates.x_m[:, :2])
 
+    @property
+    def velocity_covariance(self) -> Array:
+        """(B, 2, 2)."""
+        return np.asarray(self.rates.cofactor[:, :2, :2])
 
-def code_fix(m: Measurements, config: CodeErrorsConfig, rows: slice | NDArray[np.int64] = slice(None)) -> CodeFix:
+
+class _Signals(NamedTuple):
+    """What is used of B vehicles: unit vectors (B, S, 3), used (B, S), C/N0 (B, S), systems (S,)."""
+
+    los: Array
+    used: Bools
+    cn0_dbhz: Array
+    system: NDArray[np.int64]
+
+
+def _signals(m: Measurements, config: CodeErrorsConfig, rows: Rows) -> _Signals:
+    los, cn0 = m.sky.los_enu[m.sky.index[rows]], m.gnss.cn0_dbhz[rows]
+    used = m.gnss.tracked[rows] & (los[..., 2] >= np.sin(np.deg2rad(config.mask_deg))) & (cn0 >= config.least_cn0_dbhz)
+    system = np.asarray(m.sky.system, dtype=np.int64)
+    used &= np.isin(system, [System[name].value for name in config.systems])
+    return _Signals(np.where(used[..., None], los, UP), used, cn0, system)
+
+
+def doppler_fit(m: Measurements, config: CodeErrorsConfig, rows: Rows = slice(None)) -> CodeFit:
+    """Velocity of the vehicles in ``rows`` by range rates."""
+    return _doppler(m, config, rows, _signals(m, config, rows))
+
+
+def _doppler(m: Measurements, config: CodeErrorsConfig, rows: Rows, s: _Signals) -> CodeFit:
+    factor = config.errors.errors(s.los[..., 2], s.cn0_dbhz).factor
+    variance = config.range_rate_mps**2 * factor
+    return solve_ranges(s.los, m.gnss.range_rate_mps[rows], variance, s.used, np.zeros_like(s.system))
+
+
+def code_fix(m: Measurements, config: CodeErrorsConfig, rows: Rows = slice(None)) -> CodeFix:
     """Position and velocity of the vehicles in ``rows`` at an epoch.
 
     Raises
@@ -90,16 +181,8 @@ def code_fix(m: Measurements, config: CodeErrorsConfig, rows: slice | NDArray[np
     """
     if m.gnss.raw_code_m is None:
         raise InputError("gnss.undifferenced must be true, is false: a code position needs undifferenced codes")
-    los, cn0 = m.sky.los_enu[m.sky.index[rows]], m.gnss.cn0_dbhz[rows]
-    used = m.gnss.tracked[rows] & (los[..., 2] >= np.sin(np.deg2rad(config.mask_deg))) & (cn0 >= config.least_cn0_dbhz)
-    system = np.asarray(m.sky.system, dtype=np.int64)
-    used &= np.isin(system, [System[name].value for name in config.systems])
-    los = np.where(used[..., None], los, UP)
-    found = config.errors.errors(los[..., 2], cn0)
-    observed = m.gnss.raw_code_m[rows, :, 0]
-    codes = solve_ranges(los, observed, found.variance_m2, used, system)
-    plain = solve_ranges(los, observed, 1.0, used, system).hdop_m if config.plain_hdop else None
-    rates = solve_ranges(
-        los, m.gnss.range_rate_mps[rows], config.range_rate_mps**2 * found.factor, used, np.zeros_like(system)
-    )
-    return CodeFix(codes, rates, plain)
+    s, observed = _signals(m, config, rows), m.gnss.raw_code_m[rows, :, 0]
+    variance = config.errors.errors(s.los[..., 2], s.cn0_dbhz).variance_m2
+    codes = solve_ranges(s.los, observed, variance, s.used, s.system)
+    plain = solve_ranges(s.los, observed, 1.0, s.used, s.system).hdop_m if config.plain_hdop else None
+    return CodeFix(codes, _doppler(m, config, rows, s), plain)

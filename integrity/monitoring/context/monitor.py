@@ -19,7 +19,7 @@ from lanebound.integrity.core.advice import Advice
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
-from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig, CodeFix
+from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig, CodeFix, JudgedFix
 from lanebound.integrity.monitoring.context.map_phase import MapPhase, MapPhaseConfig, MapTest
 from lanebound.integrity.monitoring.context.position_phase import PositionPhaseConfig, PositionTest, check_position
 from lanebound.integrity.monitoring.context.speed_phase import SpeedPhase, SpeedPhaseConfig, SpeedTest
@@ -151,25 +151,32 @@ class ContextMonitor:
 
     def step(
         self,
-        fix: CodeFix,
+        fix: JudgedFix,
         wheel_mps: Array,
         position: PositionTest | None = None,
         speed: SpeedTest | None = None,
         rows: Rows = EVERY,
     ) -> ContextVerdict:
-        """The verdict of an epoch, from a code position with its rows and the wheel speed (B,).
+        """The verdict of an epoch, from a position and the wheel speed (B,).
 
         ``position`` and ``speed`` are results of the first phases on the same fix, when another monitor has them. With
         ``rows`` only these vehicles have an epoch, and all arguments are theirs.
+
+        Raises
+        ------
+        InputError
+            Neither are there codes, which the first phase tests, nor its result.
         """
-        position = position or check_position(fix.codes, self.config.position, fix.hdop)
-        speed = speed or self.speed.step(
-            fix.velocity_en_mps, fix.rates.cofactor[:, :2, :2], wheel_mps, fix.rates.solved, rows
-        )  # fmt: skip
+        if position is None:
+            if not isinstance(fix, CodeFix):
+                raise InputError("position must be given for a fix without codes, got None: pass the result of a test")
+            position = check_position(fix.codes, self.config.position, fix.hdop)
+        if speed is None:
+            speed = self.speed.step(fix.velocity_en_mps, fix.velocity_covariance, wheel_mps, fix.has_velocity, rows)
         match, heading, sigma = self._match(fix, wheel_mps, rows)
         doppler = np.where(speed.known, speed.average_mps, np.hypot(*fix.velocity_en_mps.T))
         tested = self.map.step(match, fix.position_en_m, sigma, heading, doppler, self.dt_s, rows)
-        reason = self._reason(fix.codes.solved, position, speed, tested)
+        reason = self._reason(fix.located, position, speed, tested)
         phases = _phases_passed(position, speed, tested)
         slow = reason == ContextReason.SLOW.code
         held = slow & (not self.config.warn_at_rest)
@@ -181,14 +188,16 @@ class ContextMonitor:
             np.asarray(warn, np.bool_), reason, phases, score, names[match.link], match, position, speed, tested
         )  # fmt: skip
 
-    def _match(self, fix: CodeFix, wheel_mps: Array, rows: Rows) -> tuple[MapMatches, Array, Array]:
+    def _match(self, fix: JudgedFix, wheel_mps: Array, rows: Rows) -> tuple[MapMatches, Array, Array]:
         """The match, the azimuth of motion and the 1 sigma of the position on one axis."""
         east, north = fix.velocity_en_mps.T
         heading = np.arctan2(east, north)
         variance = 0.5 * np.trace(fix.covariance_en_m2, axis1=1, axis2=2)
         sigma = np.sqrt(np.maximum(variance, 1.0))
-        moved = np.where(fix.rates.solved, np.hypot(east, north), np.abs(wheel_mps)) * self.dt_s
-        inputs = MatchInputs(fix.position_en_m, heading, np.abs(wheel_mps), moved, sigma, fix.codes.solved)
+        moved = np.where(fix.has_velocity, np.hypot(east, north), np.abs(wheel_mps)) * self.dt_s
+        inputs = MatchInputs(
+            fix.position_en_m, heading, np.abs(wheel_mps), moved, sigma, fix.located, fix.has_velocity
+        )  # fmt: skip
         return self.matcher.step(inputs, rows), heading, sigma
 
     def _reason(self, located: Bools, position: PositionTest, speed: SpeedTest, tested: MapTest) -> Ints:

@@ -45,6 +45,12 @@ class PositionTest(NamedTuple):
     available: Bools
     consistent: Bools
 
+    def rows(self, rows: slice | NDArray[np.int64]) -> PositionTest:
+        """The results of some vehicles."""
+        return PositionTest(
+            self.level_m[rows], self.statistic[rows], self.threshold[rows], self.available[rows], self.consistent[rows]
+        )
+
     @property
     def passed(self) -> Bools:
         """The level is within the alert limit, and the residuals are consistent."""

@@ -18,8 +18,8 @@ from scipy.special import chdtrc, chdtri, chndtrix
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit
+from lanebound.integrity.monitoring.family.odds import odds_level
 from lanebound.integrity.monitoring.family.separations import (
-    advanced_level,
     closed_level,
     published_level,
     root_level,
@@ -29,7 +29,7 @@ from lanebound.integrity.monitoring.significance import noncentrality, two_sided
 
 __all__ = [
     "LEVELS", "LevelWork", "fixed_level_false_alarm", "isotropic_factor", "noncentralities", "normal_factor",
-    "predicted_level",
+    "predicted_level", "times",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ def isotropic_factor(df: Ints, risks: Array) -> Array:
         return np.where((df > 0)[:, None], np.sqrt(risks[None, :] ** power[:, None] - 1.0), np.inf)
 
 
-def _times(factor: Array, length: Array) -> Array:
+def times(factor: Array, length: Array) -> Array:
     """Product with 0 for no influence, even of an infinite factor."""
     with np.errstate(invalid="ignore"):
         return np.where(length == 0.0, 0.0, factor * length)
@@ -81,7 +81,7 @@ def _times(factor: Array, length: Array) -> Array:
 def predicted_level(fit: CodeFit, false_alarm: float, risks: Array) -> Array:
     """``HPL = slope_max sqrt(lambda_det)`` (S3 eq 14): no measurement enters, so that it can be predicted.  (E, R)."""
     worst = fit.slopes().max(-1)[:, None]
-    return np.where((fit.df > 0)[:, None], _times(np.sqrt(noncentralities(fit.df, false_alarm, risks)), worst), np.inf)
+    return np.where((fit.df > 0)[:, None], times(np.sqrt(noncentralities(fit.df, false_alarm, risks)), worst), np.inf)
 
 
 def slope(work: LevelWork) -> Array:
@@ -94,14 +94,14 @@ def weighted(work: LevelWork) -> Array:
     fit = work.fit
     worst = fit.slopes().max(-1)
     limit = np.sqrt(np.where(fit.df > 0, chdtri(np.maximum(fit.df, 1), work.config.false_alarm), np.inf))
-    return np.asarray(_times(limit, worst)[:, None] + two_sided_factor(work.risks) * fit.hdop_m[:, None])
+    return np.asarray(times(limit, worst)[:, None] + two_sided_factor(work.risks) * fit.hdop_m[:, None])
 
 
 def uncertainty(work: LevelWork) -> Array:
     """HUL: as :func:`weighted` with the residuals found in place of their threshold (S3 III-A)."""
     fit = work.fit
     found = np.where(fit.df > 0, np.sqrt(fit.wsse), np.inf)
-    return np.asarray(_times(found, fit.slopes().max(-1))[:, None] + two_sided_factor(work.risks) * fit.hdop_m[:, None])
+    return np.asarray(times(found, fit.slopes().max(-1))[:, None] + two_sided_factor(work.risks) * fit.hdop_m[:, None])
 
 
 def reliability(work: LevelWork) -> Array:
@@ -115,7 +115,7 @@ def reliability(work: LevelWork) -> Array:
     for m in np.unique(number[fit.df > 0]):
         alpha = work.config.false_alarm / int(m)
         factor[m] = [np.sqrt(_noncentrality(alpha, float(risk), 1)) for risk in work.risks]
-    return np.where((fit.df > 0)[:, None], _times(factor[number], fit.slopes().max(-1)[:, None]), np.inf)
+    return np.where((fit.df > 0)[:, None], times(factor[number], fit.slopes().max(-1)[:, None]), np.inf)
 
 
 def fixed_level_false_alarm(fit: CodeFit, level_m: float, risks: Array) -> tuple[Array, Array]:
@@ -152,9 +152,7 @@ def normal(work: LevelWork) -> Array:
 def isotropic(work: LevelWork) -> Array:
     """IBPL: ``k |r| d_major`` of whitened residuals; errors of any size that point in any direction alike."""
     size = np.sqrt(work.fit.wsse) * work.fit.major_m
-    return np.where(
-        (work.fit.df > 0)[:, None], _times(isotropic_factor(work.fit.df, work.risks), size[:, None]), np.inf
-    )
+    return np.where((work.fit.df > 0)[:, None], times(isotropic_factor(work.fit.df, work.risks), size[:, None]), np.inf)
 
 
 def rayleigh(work: LevelWork) -> Array:
@@ -189,11 +187,11 @@ LEVELS: dict[LevelKind, Callable[[LevelWork], Array]] = {
     LevelKind.SEPARATION: _separated(closed_level),
     LevelKind.SEPARATION_PUBLISHED: _separated(published_level),
     LevelKind.SEPARATION_ROOT: _separated(root_level),
-    LevelKind.ARAIM: _separated(advanced_level),
+    LevelKind.SEPARATION_ODDS: _separated(odds_level),
     LevelKind.SBAS: sbas,
     LevelKind.NORMAL: normal,
     LevelKind.ISOTROPIC: isotropic,
     LevelKind.RAYLEIGH: rayleigh,
     LevelKind.PARETO: pareto,
 }
-"""Levels that follow from an epoch alone; those with memory are in :mod:`.memory`."""
+"""Levels that follow from an epoch alone; ARAIM is in :mod:`.separations`, those with memory in :mod:`.memory`."""

@@ -12,14 +12,15 @@ from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, Le
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit, solve_codes
 from lanebound.integrity.monitoring.family.fixed import fixed_carriers
-from lanebound.integrity.monitoring.family.levels import LEVELS, LevelWork, fixed_level_false_alarm, normal_factor
+from lanebound.integrity.monitoring.family.levels import LEVELS, LevelWork, fixed_level_false_alarm
 from lanebound.integrity.monitoring.family.memory import Remembered, composite, extended, isotropic_kalman
+from lanebound.integrity.monitoring.family.odds import trusted_codes
 from lanebound.integrity.monitoring.family.outcome import MonitorOutcome, MonitorVerdicts
 from lanebound.integrity.monitoring.family.rejection import REJECTIONS, ROBUST, global_threshold, local_threshold
 from lanebound.integrity.monitoring.family.relative import relative_position, relative_range
 from lanebound.integrity.monitoring.family.separations import advanced_levels
+from lanebound.integrity.monitoring.family.vertical import vertical_level
 from lanebound.integrity.monitoring.family.weighting import weighted_codes
-from lanebound.integrity.monitoring.sbas import Operation
 from lanebound.integrity.positioning.least_squares import Solvability
 
 __all__ = ["watch"]
@@ -64,27 +65,29 @@ def watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: ArrayLike = 1e
 
 def _watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array) -> MonitorVerdicts:
     weighted = weighted_codes(epochs, config)
-    left = REJECTIONS[config.rejection](weighted, config)
+    trusted = trusted_codes(weighted, config, risks)
+    left = REJECTIONS[config.rejection](trusted, config)
     fit = solve_codes(left)
     work = LevelWork(left, fit, config, risks)
-    alarm, false_alarm = _test(work, weighted)
+    alarm, false_alarm = _test(work, trusted)
     position = fit.x_m
-    if config.level is LevelKind.ARAIM:  # one search for both
-        level, vpl = advanced_levels(work.epochs, fit, config, risks)
+    if config.level is LevelKind.ARAIM:  # one search for levels and tests
+        level, vpl, failed = advanced_levels(work.epochs, fit, config, risks)
+        alarm = failed if config.test is TestKind.SEPARATION else alarm
     elif config.level in MEMORY:
-        found, vpl = MEMORY[config.level](work), _vertical(work)
+        found, vpl = MEMORY[config.level](work), vertical_level(work)
         position, level, alarm = found.position_enu_m, found.hpl_m, alarm | found.alarm
     else:
-        level, vpl = LEVELS[config.level](work), _vertical(work)
+        level, vpl = LEVELS[config.level](work), vertical_level(work)
     solved: Bools = fit.solved
     if config.level in COASTS:
         solved = np.asarray(solved | np.isfinite(level).any(-1))
-    excluded = weighted.used & ~left.used
+    excluded = trusted.used & ~left.used
     outcome = _outcome(fit, solved, np.asarray(excluded.any(-1)), alarm, level)
     none = (outcome > MonitorOutcome.EXCLUDED.code)[:, None]
     return MonitorVerdicts(
         np.where(solved[:, None], position, 0.0), np.where(none, np.inf, level), np.where(none, np.inf, vpl), outcome,
-        excluded, false_alarm,
+        excluded, left.used, false_alarm,
     )  # fmt: skip
 
 
@@ -110,16 +113,6 @@ def _test(work: LevelWork, declared: CodeEpochs) -> tuple[Bools, Array]:
             worst = np.maximum(worst, np.abs(own.normalised).max(-1))
         return np.asarray(tested & (worst > limit)), chance
     return np.zeros(fit.df.size, bool), np.zeros(fit.df.size)
-
-
-def _vertical(work: LevelWork) -> Array:
-    """Vertical levels where the kind states them, but for ARAIM: SBAS, and the normal law.  (E, R)."""
-    fit, config, kind = work.fit, work.config, work.config.level
-    up = np.where(fit.solved, np.sqrt(fit.cofactor[:, 2, 2]), np.inf)[:, None]
-    if kind is LevelKind.SBAS:
-        operation = Operation.EN_ROUTE if config.en_route else Operation.PRECISION_APPROACH
-        return np.repeat(operation.value[1] * up, work.risks.size, 1)
-    return normal_factor(work.risks) * up if kind is LevelKind.NORMAL else np.full((up.size, work.risks.size), np.inf)
 
 
 def _outcome(fit: CodeFit, solved: Bools, excluded: Bools, alarm: Bools, level: Array) -> NDArray[np.int64]:

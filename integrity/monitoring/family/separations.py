@@ -11,19 +11,20 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.monitoring.araim import AraimConfig, levels_at
+from lanebound.integrity.monitoring.araim import AraimConfig, SortedModes, checked_levels
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
 from lanebound.integrity.monitoring.family.epochs import MOST_SYSTEMS, CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit
-from lanebound.integrity.monitoring.fault_modes import FaultModes, enumerate_faults
+from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 from lanebound.integrity.monitoring.protection import closed_form_published, protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
 from lanebound.integrity.monitoring.separation import Separation
 from lanebound.integrity.positioning.least_squares import Solvability
 
-__all__ = ["advanced_level", "advanced_levels", "closed_level", "published_level", "root_level", "separations"]
+__all__ = ["advanced_levels", "closed_level", "published_level", "root_axes", "root_level", "separations"]
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 EAST_RAD = 0.5 * np.pi
 
@@ -65,15 +66,22 @@ def _rules(config: FamilyMonitorConfig, spend: bool = False) -> RiskConfig:
     )  # fmt: skip
 
 
-def _exact(
+def root_axes(
     epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array, closed: bool, spent: ArrayLike = 0.0
 ) -> Array:
+    """Levels of the first two columns of the directions with half of the risk each.  (E, R, 2)."""
     los = np.where(fit.used[..., None], epochs.los_enu, np.array([0.0, 0.0, 1.0]))
     variance = np.where(fit.used, np.square(np.where(fit.used, epochs.sigma_m, 1.0)), 1.0)
     found = protection_levels_batch(
         los, fit.used, epochs.system, variance, EAST_RAD, _rules(config), risks, closed=closed, spent=spent
     )  # fmt: skip
-    levels = found.closed_m if closed else found.root_m
+    return found.closed_m if closed else found.root_m
+
+
+def _exact(
+    epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array, closed: bool, spent: ArrayLike = 0.0
+) -> Array:
+    levels = root_axes(epochs, fit, config, risks, closed, spent)
     return np.hypot(levels[..., 0], levels[..., 1])
 
 
@@ -97,13 +105,11 @@ def published_level(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfi
     return np.stack([np.hypot(level[:, 0], level[:, 1]) for level in levels], -1)
 
 
-def advanced_level(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array) -> Array:
-    """Horizontal levels of :func:`advanced_levels`."""
-    return advanced_levels(epochs, fit, config, risks)[0]
-
-
-def advanced_levels(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array) -> tuple[Array, Array]:
-    """HPL and VPL of ARAIM with faults of satellites and of constellations, (E, R) each.
+def advanced_levels(
+    epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array
+) -> tuple[Array, Array, Bools]:
+    """HPL and VPL of ARAIM with faults of satellites and of constellations, (E, R) each, and where a test of a
+    separation of any mode fails (E,).
 
     With ``config.araim`` the budgets of aviation hold whatever the risks; else each risk is that of the plane and of
     the vertical alike, with the false alarms and priors of the monitor. The modes are those that the smallest risk
@@ -113,31 +119,36 @@ def advanced_levels(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfi
     times = np.ones(risks.size) if config.araim else risks / risks.min()
     columns = epochs.y_m.shape[1]
     hpl, vpl = np.full((2, fit.df.size, risks.size), np.inf)
+    alarm = np.zeros(fit.df.size, bool)
     patterns, which = np.unique(fit.used, axis=0, return_inverse=True)
     for k, seen in enumerate(patterns):
         own = np.flatnonzero((which.ravel() == k) & fit.solved & (fit.df > 0))
         if not own.size or not columns:
             continue
         los, variance = epochs.los_enu[own][:, seen], np.square(epochs.sigma_m[own][:, seen])
-        modes = _modes(epochs.system[seen].tobytes(), budget)
-        up, plane = levels_at(los, epochs.system[seen], variance, variance, 0.0, budget, modes, times)
+        modes, y = _modes(epochs.system[seen].tobytes(), budget), epochs.y_m[own][:, seen]
+        up, plane, alarm[own] = checked_levels(los, epochs.system[seen], variance, y, budget, modes, times)
         hpl[own], vpl[own] = np.hypot(plane[..., 0], plane[..., 1]), up
-    return hpl, vpl
+    return hpl, vpl, alarm
 
 
-@lru_cache(maxsize=256)
-def _modes(system: bytes, budget: AraimConfig) -> FaultModes:
+@lru_cache(maxsize=1024)
+def _modes(system: bytes, budget: AraimConfig) -> SortedModes:
     """The fault modes of satellites of these systems; epochs under one sky share them."""
-    return enumerate_faults(
-        np.frombuffer(system, np.int64), budget.satellite_prior, budget.constellation_prior,
-        unmonitored_below=budget.unmonitored_below, at_once=budget.at_once,
+    group = np.frombuffer(system, np.int64)
+    found = enumerate_faults(
+        group, budget.satellite_prior, budget.constellation_prior, unmonitored_below=budget.unmonitored_below,
+        at_once=budget.at_once,
     )  # fmt: skip
+    return SortedModes.of(found, group)
 
 
 def _road_budget(config: FamilyMonitorConfig, risk: float) -> AraimConfig:
-    """Risk and false alarms of the monitor, half of them vertical; faults of up to two events are modes."""
+    """Risk of the monitor for the plane and for the vertical, and half of its false alarms each; faults of up to two
+    events are modes."""
+    half = 0.5 * config.false_alarm
     return AraimConfig(
-        vertical_risk=risk, horizontal_risk=risk, vertical_false_alarm=config.false_alarm,
-        horizontal_false_alarm=config.false_alarm, unmonitored_below=min(0.1 * risk, 0.5),
-        satellite_prior=config.satellite_prior, constellation_prior=config.constellation_prior, at_once=2,
+        vertical_risk=risk, horizontal_risk=risk, vertical_false_alarm=half, horizontal_false_alarm=half,
+        unmonitored_below=min(0.1 * risk, 0.5), satellite_prior=config.satellite_prior,
+        constellation_prior=config.constellation_prior, at_once=2,
     )  # fmt: skip

@@ -20,7 +20,7 @@ from lanebound.integrity.positioning.heading_kernel import (
     raise_uncertainty,
     rest_heading,
 )
-from lanebound.integrity.positioning.mode_kernel import doppler_usable
+from lanebound.integrity.positioning.mode_kernel import doppler_usable, speed_dilution
 from lanebound.integrity.positioning.odometer_watch_kernel import STANDING_MPS, turning_at_rest
 
 __all__ = ["find_attitude"]
@@ -31,7 +31,7 @@ REST_S = 0.5  # without motion, until the vehicle is at rest
 REST_DOPPLER_MPS = 0.1  # Doppler speed that is no motion, at least
 
 
-@jit
+@jit(borrows=True)
 def find_attitude(first: int, last: int, epoch: Epoch) -> None:
     """Heading at the end of the epoch, and the course in its middle."""
     par, measured = epoch.parameters[0], epoch.measured
@@ -55,7 +55,11 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
         step.phi_doppler, step.phi_odometer = par.doppler.decay, math.exp(-par.dt / par.odometer.tau)
         step.white_doppler = par.doppler.white
         correlate(par.doppler.decay, par.doppler.white, heading, step.turn)
+        w.sdop = math.inf
+        if w.solved:
+            w.sdop = speed_dilution(w.v_e, w.v_n, w.sin_h, w.cos_h, w.q, par.doppler.sigma)
         w.measured = doppler_usable(w.checked, w.v_gnss, speed, w.hdop_doppler, par.modes)
+        w.measured = w.measured and w.sdop <= par.modes.doppler_max_sdop
 
 
 @jit(borrows=True)

@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.monitoring.jump_kernel import is_suspicious
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.monitoring.jump_kernel import grow_drift, is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import reference_point
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
-from lanebound.integrity.positioning.drift_watch_kernel import advance, begin_watch, find_drift, learn, walk_of
+from lanebound.integrity.positioning.drift_watch_kernel import (
+    advance,
+    begin_watch,
+    blames_odometer,
+    find_drift,
+    fold_doppler,
+    learn,
+    misfit,
+    rates_of,
+    walk_of,
+)
 
 __all__ = ["watch_drift"]
 
@@ -24,17 +38,45 @@ def watch_drift(first: int, last: int, epoch: Epoch) -> None:
         fixed, speed, heading = w.fixed, measured.speed[v], vehicle.heading
         walk = walk_of(par.heading.angle_random_walk, heading.p_bb, heading.p_ss, w.turning, rules)
         advance(par.dt, par.dt * speed, w.slip, w.turning, w.resting, walk, rules, d)
+        fold_doppler(par.dt, w.solved and w.hdop_doppler < par.heading.calibration.max_hdop, w.v_e, w.v_n, d)
         vehicle.jump.drifts = False
+        grow_drift(par.dt, speed, w.sin_h, w.cos_h, vehicle.jump)
         followed = fixed.usable and fixed.lasting and not is_suspicious(vehicle.jump)
         if not followed or vehicle.watch.doubted or vehicle.unbounded:
             begin_watch(d)
             continue
         east, north = reference_point(fixed, par.lever, w.sin_h, w.cos_h)
-        variance = fixed.p_ee + fixed.p_nn
-        drifts, drift_e, drift_n = find_drift(east, north, variance, speed, rules, d, anchors)
-        if drifts:
-            vehicle.jump.drifts, vehicle.jump.drift_e, vehicle.jump.drift_n = True, drift_e, drift_n
+        variance = worst_variance(fixed)
+        found = find_drift(east, north, variance, speed, rules, d, anchors)
+        if found >= 0:
+            report_drift(found, east, north, variance, speed, rules, d, anchors, vehicle.jump)
             begin_watch(d)
             continue
         bias = heading_bias(vehicle, par.odometer)
         learn(east, north, variance, speed, heading.angle, heading.p_hh + bias * bias, rules, d, anchors)
+
+
+@jit(borrows=True)
+def worst_variance(fixed: Any) -> float:
+    """Variance of the fixed position on its worst axis [m^2]."""
+    return float(
+        0.5 * (fixed.p_ee + fixed.p_nn) + math.sqrt(0.25 * (fixed.p_ee - fixed.p_nn) ** 2 + fixed.p_en * fixed.p_en)
+    )
+
+
+@jit(borrows=True)
+def report_drift(
+    found: int, east: float, north: float, variance: float, speed: float, rules: Any, d: Any, anchors: Records,
+    jump: Any,
+) -> None:  # fmt: skip
+    """Hand a drift of RTK at (east, north) [m] since the anchor ``found`` to the jump monitor.
+
+    Where the odometer explains it, its scale is learnt anew from the prior.
+    """
+    along, across, sin_u, cos_u = misfit(east, north, d, anchors[found])
+    jump.drifts, jump.drift_speed = True, abs(speed)
+    jump.drift_e, jump.drift_n = along * sin_u + across * cos_u, along * cos_u - across * sin_u
+    jump.rate_at, jump.rate_ct = rates_of(east, north, variance, speed, rules, d, anchors)
+    jump.by_odometer = blames_odometer(east, north, variance, speed, rules, d, anchors[found])
+    if jump.by_odometer:
+        d.has_scale = False

@@ -17,7 +17,7 @@ from lanebound.integrity.positioning.codes_kernel import UNDECIDED
 __all__ = ["begin", "exclude_satellite", "raise_alert", "raise_level", "refuse_doppler", "refuse_fix"]
 
 
-@jit
+@jit(borrows=True)
 def begin(first: int, last: int, epoch: Epoch) -> None:
     """No mode has moved the position yet, and no monitor from outside has found anything."""
     for v in range(first, last):

@@ -15,6 +15,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, UNRESOLVED, detect_and_exclude
+from lanebound.integrity.monitoring.doubt_modes_kernel import add_doubts
 from lanebound.integrity.monitoring.heading_separation_kernel import Courses, courses_of, largest_course
 from lanebound.integrity.monitoring.protection_kernel import (
     closed_form,
@@ -26,7 +27,6 @@ from lanebound.integrity.monitoring.protection_kernel import (
 from lanebound.integrity.monitoring.separation_kernel import (
     Modes,
     Moments,
-    add_subset,
     find_modes,
     mode_scratch,
     moment_scratch,
@@ -38,13 +38,14 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
     MULTI_HYPOTHESIS,
     PUBLISHED,
     Array,
+    Bools,
     Epoch,
     Ints,
     Tables,
 )
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import find_members
 from lanebound.integrity.positioning.codes_kernel import FAULT, FIXED, NO_CORRECTIONS, TOO_FEW
-from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
+from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET
 from lanebound.integrity.positioning.geometry_kernel import (
     SOLVED,
     Geometry,
@@ -70,7 +71,9 @@ class FixedScratch(NamedTuple):
     """Scratch of the fixed solution; W columns.
 
     geo, moments, modes of its levels; los (W, 3), group (W,); variance for integrity, bias bound, measurement,
-    variance for accuracy and odds of a fault (W,) of the satellites in it; sets (D, LARGEST_SET) of them to monitor.
+    variance for accuracy and odds of a fault (W,) of the satellites in it; sets (D, LARGEST_SET) of them to monitor;
+    tried, air (W,) of all satellites: in use before the test, variance of what the bands have in common [m^2]; position
+    (3,) and covariance (3, 3) of the test; risk (1,), budget (1, 2) and level (1, 2) of a case.
     """
 
     geo: Geometry
@@ -84,6 +87,13 @@ class FixedScratch(NamedTuple):
     accuracy: Array
     odds: Array
     sets: Ints
+    tried: Bools
+    air: Array
+    position: Array
+    covariance: Array
+    risk: Array
+    budget: Array
+    level: Array
 
 
 @jit
@@ -93,6 +103,8 @@ def fixed_scratch(n: int, sets: int) -> FixedScratch:
     return FixedScratch(
         geometry_scratch(n), moment_scratch(n), mode_scratch(n, sets), np.zeros((w, 3)), np.zeros(w, dtype=np.int64),
         np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros((sets, LARGEST_SET), dtype=np.int64),
+        np.zeros(w, dtype=np.bool_), np.zeros(w), np.zeros(3), np.zeros((3, 3)), np.zeros(1), np.zeros((1, 2)),
+        np.zeros((1, 2)),
     )  # fmt: skip
 
 
@@ -147,15 +159,16 @@ def _solve_fixed(
     ``carriers.variance`` holds the variance factors, ``error`` (S, 2) the fault of the integers [cycles].
     """
     rules, rtk, fixed, factor, n_sat = par.rtk, vehicle.rtk, w.fixed, carriers.variance, rows.y.shape[0]
-    position, q, tried, air = np.empty(3), np.empty((3, 3)), rows.used.copy(), np.empty(n_sat)
+    tried, air = scratch.tried, scratch.air
     aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
     collapse_phase(carriers, ambiguities, rules.bands, rows.y)
     for s in range(n_sat):
+        tried[s] = rows.used[s]
         rows.y[s] -= range_of(error[s], carriers.satellites[s], rules.bands)
         air[s] = aged + atmosphere_variance(rows.los[s, 2], carriers.satellites[s], rules)
         rows.variance[s] = factor[s] * (rules.sigma_phase**2 / rules.bands) + air[s]
     outcome, _, _, _, fixed.excluded = detect_and_exclude(
-        rows, rows.group, vehicle.heading.angle, tables.thresholds, par.fde, position, q
+        rows, rows.group, vehicle.heading.angle, tables.thresholds, par.fde, scratch.position, scratch.covariance
     )
     if outcome == UNRESOLVED:
         rtk.rejected += 1
@@ -205,7 +218,7 @@ def levels_of_fix(
     """
     risk, cases, geo, group = par.risk, tables.cases, scratch.geo, scratch.group
     moments, modes = scratch.moments, scratch.modes
-    one, budget, found = np.empty(1), np.empty((1, 2)), np.empty((1, 2))
+    one, budget, found = scratch.risk, scratch.budget, scratch.level
     count, lost, apart = 0, 0.0, 0.0
     for form in range(3):
         filled = False
@@ -228,7 +241,10 @@ def levels_of_fix(
                     factors = k_fa.factor[count - 1 if par.fde.by_tests else df]
                     set_factors(n, count, factors, least, geo.clocks, modes)
                     if par.rtk.doubt.sets > 0:
-                        count, lost, apart = add_doubts(n, count, sin_h, cos_h, par, scratch)
+                        count, lost, apart = add_doubts(
+                            n, count, sin_h, cos_h, scratch.odds, group, par.rtk.doubt, scratch.sets, geo, moments,
+                            modes,
+                        )  # fmt: skip
                 filled = True
             if form == PUBLISHED:
                 one[0] = case.k_published
@@ -245,47 +261,6 @@ def levels_of_fix(
                     closed_form(count, budget, share0, lost, risk.tolerate, modes, found)
                 shift = risk.reference_bias
             pl[r, 0], pl[r, 1] = found[0, 0] + shift, found[0, 1] + shift
-
-
-@jit
-def add_doubts(
-    n: int, count: int, sin_h: float, cos_h: float, par: Any, scratch: FixedScratch
-) -> tuple[int, float, float]:
-    """Give the modes of n satellites the odds of their carriers, and add a mode for each set of doubtful ones.
-
-    The mode of a set bounds the error by the separation that is observed, ``abs(x - x_A) + b_A + K sigma_A``: no test
-    has a threshold for it. Returns the number of modes, the prior of single faults without a solution, and the
-    probability of two or more faults that no mode covers; 1 when too many sets would be needed.
-    """
-    geo, modes, odds, group, removed = scratch.geo, scratch.modes, scratch.odds, scratch.group, np.empty(n, np.bool_)
-    lost, constellations = 0.0, 0.0
-    for k in range(1, count):
-        if k > n:
-            constellations += modes.prior[k]
-        else:
-            solved = modes.sigma[0, k] < np.inf
-            modes.prior[k], modes.weight[k] = odds[k - 1], odds[k - 1] if solved else 0.0
-            modes.log_prior[k] = math.log(odds[k - 1]) if solved else -np.inf
-        lost += modes.prior[k] if not modes.sigma[0, k] < np.inf else 0.0
-    sets, apart = find_sets(odds, n, par.rtk.doubt, scratch.sets)
-    if sets < 0:
-        return count, lost, 1.0
-    for i in range(sets):
-        prior = 1.0
-        removed[:] = False
-        for k in scratch.sets[i]:
-            if k >= 0:
-                removed[k] = True
-                prior *= odds[k]
-        column = count
-        count, unsolved = add_subset(column, prior, removed, group, n, sin_h, cos_h, geo, scratch.moments, modes)
-        apart += unsolved
-        modes.k_fa[column] = 1.0
-        modes.weight[column] *= 2.0  # both tails: no test bounds the sign of the error against the separation
-        modes.log_prior[column] += math.log(2.0)
-        for q in range(2):
-            modes.delta[q, column] = abs(modes.separation[q, column])
-    return count, lost, apart + constellations * float(odds[:n].sum())
 
 
 @jit(borrows=True)

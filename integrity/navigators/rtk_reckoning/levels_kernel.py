@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, sigma_and_bias
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, shortened, sigma_and_bias
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
     Separations,
     clear_modes,
@@ -21,7 +21,15 @@ from lanebound.integrity.monitoring.doppler_separation_kernel import (
 )
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Array, Epoch, Tables
 
-__all__ = ["DeadReckoningState", "find_levels", "heading_bias", "later_by", "levels_since_fix", "restart"]
+__all__ = [
+    "DeadReckoningState",
+    "along_axes",
+    "find_levels",
+    "heading_bias",
+    "later_by",
+    "levels_since_fix",
+    "restart",
+]
 
 
 class DeadReckoningState(NamedTuple):
@@ -52,7 +60,7 @@ def later_by(since: float, memory: float, duration: float) -> float:
     return 1.0 + (since + 3.0 * memory) / duration if since < math.inf else 1.0
 
 
-@jit
+@jit(borrows=True)
 def find_levels(first: int, last: int, epoch: Epoch) -> None:
     """Stage 9: levels of the position as dead reckoning has moved it; inf where the odometer is doubted."""
     par, state, tables = epoch.parameters[0], epoch.state, epoch.tables
@@ -65,7 +73,7 @@ def find_levels(first: int, last: int, epoch: Epoch) -> None:
             levels_since_fix(latest, tables, par.risk, w.sin_h, w.cos_h, w.later, epoch.out.levels[v])
 
 
-@jit
+@jit(borrows=True)
 def levels_since_fix(
     reckoning: DeadReckoningState, tables: Tables, risk: Any, sin_h: float, cos_h: float, later: float, pl: Array
 ) -> None:
@@ -74,8 +82,9 @@ def levels_since_fix(
     Exact levels also bound a fault of any satellite or system in the Doppler velocities since the fix and in the
     heading that they calibrated, by the separation that it has caused
     (:mod:`~lanebound.integrity.monitoring.doppler_separation_kernel`). ``later`` >= 1 raises the priors by the faults
-    that began since. Of the error that the reference gave to the RTK position exact levels take the bound on each axis,
-    published ones equal components on E and N.
+    that began since. They also bound how much wrong headings have shortened the path (:func:`shortened`). Of the error
+    that the reference gave to the RTK position exact levels take the bound on each axis, published ones equal
+    components on E and N.
     """
     growth, starts, separations, cases = reckoning.growth, reckoning.starts, reckoning.separations, tables.cases
     total, squares, lost = exposure(tables.prior, separations.state)
@@ -85,7 +94,7 @@ def levels_since_fix(
     sigma_bias, published_bias = sigma_and_bias(sin_h, cos_h, False, growth), sigma_and_bias(sin_h, cos_h, True, growth)
     for r in range(cases.shape[0]):
         case, start = cases[r], starts[r]
-        if not start.whole_e < math.inf:
+        if not start.whole_first < math.inf:
             pl[r, 0], pl[r, 1] = math.inf, math.inf
             continue
         for q in range(2):
@@ -97,19 +106,21 @@ def levels_since_fix(
             k_0, k_f = case.k_dead[q], -math.inf
             if total > 0.0:
                 k_0, k_f = risk_factors(case.budget[q], share, pair, total, lost)
-            level = k_0 * sigma_bias[q] + abs(sine) * start.bias_e + abs(cosine) * start.bias_n
+            first, second = along_axes(sine, cosine, start)
+            level = k_0 * sigma_bias[q] + abs(first) * start.bias_first + abs(second) * start.bias_second
             if -math.inf < k_f < math.inf:
-                whole = abs(sine) * start.whole_e + abs(cosine) * start.whole_n
+                whole = abs(first) * start.whole_first + abs(second) * start.whole_second
                 by_heading = (
                     sine * sine * growth.f_ee + 2.0 * sine * cosine * growth.f_en + cosine * cosine * growth.f_nn
                 )
                 by_heading = math.sqrt(max(by_heading, 0.0))
                 worst = worst_separation(sine, cosine, sigma_bias[q], by_heading, k_f, separations)
                 level = max(level, worst + whole)
-            pl[r, q] = level + sigma_bias[2 + q] + risk.reference_bias
+            bow = shortened(sine, cosine, max(k_0, k_f) if k_f < math.inf else k_0, growth)
+            pl[r, q] = level + sigma_bias[2 + q] + bow + risk.reference_bias
 
 
-@jit
+@jit(borrows=True)
 def restart(
     reckoning: DeadReckoningState, tables: Tables, risk: Any, vehicle: Any, fixed: Any, sin_h: float, cos_h: float,
     level: Array,
@@ -117,8 +128,9 @@ def restart(
     """Restart dead reckoning at the RTK position just found, for every case.
 
     Its initial error must keep what the protection level promised, biases and faults included: what the ``level``
-    (R, 2) of a case holds beyond ``K sigma`` of the fault-free solution remains as a bound on E and N. The published
-    form starts from the fault-free covariance alone, as S1 does.
+    (R, 2) of a case holds beyond ``K sigma`` of the fault-free solution remains as a bound on E and N; along and across
+    the track where ``fixed.turned``, so that a straight drive leaves it as it is. The published form
+    starts from the fault-free covariance alone, as S1 does.
     """
     reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, reckoning.growth)
     if vehicle.separated:
@@ -126,15 +138,22 @@ def restart(
         vehicle.separated = False
     for r in range(level.shape[0]):
         start, case = reckoning.starts[r], tables.cases[r]
-        start.bias_e, start.bias_n, start.whole_e, start.whole_n = 0.0, 0.0, 0.0, 0.0
+        start.bias_first, start.bias_second, start.whole_first, start.whole_second = 0.0, 0.0, 0.0, 0.0
+        start.axis_e, start.axis_n = (sin_h, cos_h) if fixed.turned else (1.0, 0.0)
         if not (level[r, 0] < math.inf and level[r, 1] < math.inf):
-            start.whole_e = math.inf
+            start.whole_first = math.inf
         elif not case.published:
             at, ct = max(level[r, 0] - risk.reference_bias, 0.0), max(level[r, 1] - risk.reference_bias, 0.0)
-            start.whole_e, start.whole_n = _box(at, ct, sin_h, cos_h)
+            start.whole_first, start.whole_second = (at, ct) if fixed.turned else _box(at, ct, sin_h, cos_h)
             at = max(at - case.k_dead[0] * fixed.sigma[0], 0.0)
             ct = max(ct - case.k_dead[1] * fixed.sigma[1], 0.0)
-            start.bias_e, start.bias_n = _box(at, ct, sin_h, cos_h)
+            start.bias_first, start.bias_second = (at, ct) if fixed.turned else _box(at, ct, sin_h, cos_h)
+
+
+@jit(borrows=True)
+def along_axes(east: float, north: float, start: Any) -> tuple[float, float]:
+    """Components of a vector along the two axes of a start."""
+    return east * start.axis_e + north * start.axis_n, north * start.axis_e - east * start.axis_n
 
 
 @jit(borrows=True)

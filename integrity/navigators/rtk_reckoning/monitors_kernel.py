@@ -49,7 +49,7 @@ __all__ = ["judge_fix", "separate_doppler", "watch_speeds", "widen_levels"]
 CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
 
 
-@jit
+@jit(borrows=True)
 def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
     """Advance the separations of both dead reckonings and of the heading; this epoch's influences become the last."""
     par, state, vehicles = epoch.parameters[0], epoch.state, epoch.work.vehicles
@@ -77,14 +77,14 @@ def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
         vehicle.separated = vehicle.separated or w.integrates or w.run != 0.0
 
 
-@jit(forceinline=True)
+@jit(inline=True)
 def _separations_of(state: State, v: int, reckoning: int) -> Separations:
     """The separations (W,) of the LATEST or BACKUP dead reckoning."""
     found: Separations = separations_of(state.latest if reckoning == LATEST else state.backup, v)
     return found
 
 
-@jit
+@jit(borrows=True)
 def watch_speeds(first: int, last: int, epoch: Epoch) -> None:
     """Odometer watch: while the odometer is doubted, or Doppler has contradicted it, no level holds without RTK."""
     par, measured = epoch.parameters[0], epoch.measured
@@ -175,7 +175,7 @@ def _use_backup(v: int, state: State, tables: Tables, par: Any, w: Any, found: A
         copy_reckoning(v, state, BACKUP, LATEST)
 
 
-@jit
+@jit(borrows=True)
 def copy_reckoning(v: int, state: State, source: int, to: int) -> None:
     """Copy one dead reckoning of vehicle v over the other."""
     state.growth[v, to] = state.growth[v, source]
@@ -184,7 +184,7 @@ def copy_reckoning(v: int, state: State, source: int, to: int) -> None:
     copy_modes(_separations_of(state, v, source), _separations_of(state, v, to))
 
 
-@jit
+@jit(borrows=True)
 def widen_levels(first: int, last: int, epoch: Epoch) -> None:
     """Jump monitor: while RTK contradicts the position, the levels cover RTK's history too."""
     for v in range(first, last):

@@ -115,6 +115,7 @@ class RtkReckoningNavigator(Navigator):
         belief.ambiguities["held"][rows], belief.ambiguities["last_phase"][rows] = False, 0.0
         for axis in ("p_ee", "p_nn"):
             belief.growth[axis][rows] = sigma_m**2
+        self._services.forget(self.state.extensions, rows)
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
@@ -166,10 +167,12 @@ def stages_of(config: RtkReckoningConfig, services: ServiceSet) -> list[Stage | 
         *(mode.stage for mode in config.chosen_modes),
         advance_nothing,
         *monitored(Point.MOVED),
+        *services.before_levels(),
         find_levels,
         *services.fixes(),
         *monitored(Point.JUDGED),
         take_fix,
+        *services.settle(),
         *monitored(Point.BOUNDED),
         report,
         *services.label(),
@@ -239,7 +242,7 @@ def blank_measured(batch: int, satellites: int) -> Measured:
 
 def blank_outputs(batch: int, satellites: int, cases: int) -> Outputs:
     """Outputs of vehicles, to be filled; arrays of one shape and type are parts of one block."""
-    heading, sigma_at, sigma_ct, hdop, since_rtk, since_calibration, wrong = np.empty((7, batch))
+    heading, sigma_at, sigma_ct, hdop, since_rtk, since_calibration, wrong, sdop = np.empty((8, batch))
     position, velocity, difference = np.empty((3, batch, 2))
     mode, rtk, reason, satellites_rtk, satellites_doppler, excluded = np.empty((6, batch), np.int64)
     alert, available = np.empty((2, batch), np.bool_)
@@ -249,7 +252,7 @@ def blank_outputs(batch: int, satellites: int, cases: int) -> Outputs:
         mode=mode, rtk=rtk, alert=alert, available=available,
         reason=reason, hdop=hdop, satellites=satellites_rtk, satellites_doppler=satellites_doppler, excluded=excluded,
         since_rtk=since_rtk, since_calibration=since_calibration, wrong=wrong,
-        held=np.empty((batch, satellites), np.bool_), difference=difference,
+        held=np.empty((batch, satellites), np.bool_), difference=difference, sdop=sdop,
     )  # fmt: skip
 
 
@@ -275,7 +278,7 @@ def _no_error(shape: tuple[int, ...]) -> NDArray[np.int64]:
 def solution_of(m: Measurements, out: Outputs) -> Solution:
     """The solution in arrays of its own, copied from the outputs of all stages block by block."""
     blocks: tuple[Any, ...] = out.heading.base, out.position.base, out.mode.base, out.alert.base
-    heading, sigma_at, sigma_ct, hdop, since_rtk, since_calibration, wrong = blocks[0].copy()
+    heading, sigma_at, sigma_ct, hdop, since_rtk, since_calibration, wrong, sdop = blocks[0].copy()
     position, velocity, difference = blocks[1].copy()
     mode, rtk, reason, satellites, satellites_doppler, excluded = blocks[2].copy()
     alert, available = blocks[3].copy()
@@ -284,7 +287,7 @@ def solution_of(m: Measurements, out: Outputs) -> Solution:
         m.time_s, position, heading, velocity, m.odometer.speed_mps, out.covariance.copy(), sigma_at, sigma_ct,
         levels[:, 0, 0], levels[:, 0, 1], levels, mode, rtk, alert, available, reason, hdop, satellites,
         satellites_doppler, excluded, since_rtk, since_calibration, m.gnss.corrections_age_s, wrong, out.held.copy(),
-        difference, *_no_filter(heading.size),
+        difference, *_no_filter(heading.size), sdop,
     )  # fmt: skip
 
 

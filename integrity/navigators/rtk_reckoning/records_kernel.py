@@ -181,10 +181,12 @@ VEHICLE = record(
 """What lasts of a vehicle from epoch to epoch."""
 
 START = record(
-    bias_e="bound beside K sigma, East [m]",
-    bias_n="the same, North [m]",
-    whole_e="bound of the whole error, East; inf without a level [m]",
-    whole_n="the same, North [m]",
+    axis_e="first axis of the bounds, East; the second one is (-axis_n, axis_e) [-]",
+    axis_n="the same, North",
+    bias_first="bound beside K sigma, first axis [m]",
+    bias_second="the same, second axis [m]",
+    whole_first="bound of the whole error, first axis; inf without a level [m]",
+    whole_second="the same, second axis [m]",
 )
 """What the last RTK position left to the levels of one case."""
 
@@ -255,6 +257,7 @@ FIXED_SOLUTION = record(
     failure="failure rate of their integers: of the set that was tried, or of all where none is precise enough [-]",
     lasting=("?", "the epoch before had an RTK position"),
     usable=("?", "confirmed, and of good geometry: levels are filled"),
+    turned=("?", "what its level leaves to dead reckoning is bounded along and across the track, not on E and N"),
 )
 WORK = record(
     suspect=("?", "Doppler must not be used"),
@@ -267,6 +270,7 @@ WORK = record(
     v_n="the same, North [m/s]",
     v_gnss="its magnitude [m/s]",
     hdop_doppler="[-]",
+    sdop="1 sigma of the Doppler speed over that of one range rate, inf without a velocity [-]",
     satellites_doppler=("i8", "in the velocity"),
     excluded_doppler=("i8", "by its fault test"),
     later="factor on the priors for faults that began since the last RTK position",
@@ -327,6 +331,7 @@ class Outputs(NamedTuple):
     wrong: Array
     held: Bools
     difference: Array
+    sdop: Array
 
 
 class Own(NamedTuple):

@@ -18,7 +18,7 @@ from lanebound.integrity.positioning.codes_kernel import CODE, DOPPLER, NONE, RT
 __all__ = ["report", "take_fix"]
 
 
-@jit
+@jit(borrows=True)
 def take_fix(first: int, last: int, epoch: Epoch) -> None:
     """Replace the position by an accepted RTK position and restart dead reckoning there; before, by that of codes."""
     par, state, tables, levels = epoch.parameters[0], epoch.state, epoch.tables, epoch.out.levels
@@ -52,7 +52,7 @@ def take_fix(first: int, last: int, epoch: Epoch) -> None:
             vehicle.velocity[0], vehicle.velocity[1] = speed * math.sin(course), speed * math.cos(course)
 
 
-@jit
+@jit(borrows=True)
 def report(first: int, last: int, epoch: Epoch) -> None:
     """Advance the alert and fill the outputs."""
     par, state, out = epoch.parameters[0], epoch.state, epoch.out
@@ -99,4 +99,4 @@ def _report_state(v: int, vehicle: Any, w: Any, out: Outputs) -> None:
     out.satellites[v], out.satellites_doppler[v] = w.fixed.satellites, w.satellites_doppler
     out.excluded[v] = w.excluded + w.fixed.excluded + w.excluded_doppler
     out.since_rtk[v], out.since_calibration[v] = vehicle.since_rtk, vehicle.since_calibration
-    out.wrong[v] = w.fixed.wrong
+    out.wrong[v], out.sdop[v] = w.fixed.wrong, w.sdop

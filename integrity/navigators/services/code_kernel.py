@@ -30,6 +30,7 @@ from lanebound.integrity.navigators.services.zenith_kernel import CarrierTables,
 from lanebound.integrity.positioning.code_errors_kernel import (
     ionosphere_slant,
     ionosphere_variance,
+    multipath_time,
     receiver_variance,
     satellite_variance,
     troposphere_slant,
@@ -38,10 +39,9 @@ from lanebound.integrity.positioning.code_errors_kernel import (
 from lanebound.integrity.positioning.rtk_kernel import UNUSED
 from lanebound.integrity.positioning.smoothing_kernel import slips, smooth
 
-__all__ = ["combine", "fill_code_ranges"]
+__all__ = ["combine", "fill_code_ranges", "largest_mean"]
 
 GATE_SIGMAS = 5.0  # of a code, beyond which carrier smoothing begins anew
-LEAST_ROWS = 5
 FREE_SIGMAS = 4.0  # of a carrier's noise, of the change of the difference of both carriers
 
 
@@ -54,11 +54,11 @@ def fill_code_ranges(
     rules, par = service.rules[0], service.parameters[0]
     for v in range(first, last):
         state.since[v] += par.dt
-        ranges.consistent[v], ranges.excluded[v] = False, 0
+        ranges.consistent[v], ranges.few[v], ranges.excluded[v] = False, False, 0
         ranges.due[v] = not state.since[v] < rules.interval - 0.5 * par.dt
         if not ranges.due[v] and not rules.smoothing > 0.0:
             continue
-        enough = fill_vehicle(v, epoch, service, inputs, state, ranges, carrier) >= LEAST_ROWS
+        enough = fill_vehicle(v, epoch, service, inputs, state, ranges, carrier) >= rules.least
         in_time = inputs.age[v] <= rules.max_age and inputs.zenith_age[v] <= rules.zenith_max_age
         ranges.due[v] = ranges.due[v] and enough and in_time
         if ranges.due[v]:
@@ -81,8 +81,7 @@ def fill_vehicle(
         service.rules[0].errors,
     )
     measured, quality, los = epoch.measured, epoch.work.quality[v], epoch.measured.los[epoch.measured.sight[v]]
-    moves = abs(measured.speed[v]) > par.odometer.still_speed
-    decay = math.exp(-par.dt / (budget.moving_tau if moves else budget.rest_tau))
+    decay = math.exp(-par.dt / multipath_time(budget, measured.speed[v], par.odometer.still_speed))
     for s in range(service.allowed.shape[0]):
         ranges.used[v, s], hatch = False, state.hatch[v, s]
         if not (measured.tracked[v, s] and service.allowed[s] and quality[s] < UNUSED):
@@ -99,8 +98,10 @@ def fill_vehicle(
             free = inputs.phase[v, s, 0] - inputs.phase[v, s, 1] if locked and rules.combined else 0.0
             locked = locked and not slips(free, 2.0 * FREE_SIGMAS * noise, hatch)
             gate = GATE_SIGMAS * service.noise[s] * math.sqrt(receiver_variance(budget, quality[s], 1.0, 1.0))
-            code = smooth(code, phase, locked, rules.smoothing, gate, decay, hatch)
-            white, lasting, of_carrier = hatch.white, hatch.lasting, noise * noise
+            diverges = 0.0 if rules.combined else 2.0 * budget.iono_rate * ionosphere_slant(sine) * par.dt
+            most = largest_mean(rules.smoothing, diverges, receiver_variance(budget, quality[s], 1.0, 1.0))
+            code = smooth(code, phase, locked, most, gate, decay, hatch)
+            white, lasting, of_carrier = hatch.white, hatch.lasting, noise * noise + (diverges * hatch.age) ** 2
         used = there and sine > rules.sin_mask and cn0 >= rules.cn0_min and inputs.declared[s] < math.inf
         if not used:
             continue
@@ -109,6 +110,7 @@ def fill_vehicle(
         y = code - inputs.satellite[v, s]
         variance = receiver_variance(budget, quality[s], white, lasting) + of_carrier
         variance *= service.noise[s] ** 2
+        ranges.fast[v, s] = variance
         variance += satellite_variance(budget, inputs.declared[s], min(inputs.age[v], rules.max_age))
         if not rules.combined:
             slant = ionosphere_slant(sine)
@@ -120,6 +122,17 @@ def fill_vehicle(
             variance += troposphere_variance(budget, troposphere_slant(sine))
         ranges.y[v, s], ranges.variance[v, s] = y, variance
     return count
+
+
+@jit(borrows=True)
+def largest_mean(most: float, diverges: float, variance: float) -> float:
+    """Epochs in the mean of code less carrier: at most those after which the ionosphere lags by 1 sigma.
+
+    diverges : rate of code less carrier, 1 sigma [m/epoch]; variance of the code [m^2]
+    """
+    if not diverges > 0.0:
+        return most
+    return max(min(most, math.sqrt(variance) / diverges), 1.0)
 
 
 @jit(borrows=True)

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from pydantic import model_validator
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import field_validator, model_validator
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
-from lanebound.integrity.positioning.config import DoubtConfig
+from lanebound.integrity.positioning.config import CODE_DOUBT, DoubtConfig
 from lanebound.integrity.sky.systems import System
 
-__all__ = ["CodeServiceConfig", "ServicesConfig"]
+__all__ = ["CodeServiceConfig", "CouplingConfig", "DeclaredBarometerConfig", "ServicesConfig"]
+
+GRAVITY = 9.81
+LEAST_WEIGHT = 1.0 / 32.0  # of a position in a mean with the one reckoned on
 
 ALL_SYSTEMS = tuple(System.__members__)
 NO_PRIOR = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -47,7 +54,7 @@ class CodeServiceConfig(Config):
         NO_PRIOR, min_length=5, max_length=8, description="fault probability of a whole system, by system [-]"
     )
     doubt: DoubtConfig = Field(
-        DoubtConfig(sets=100, odds=0.17, centre_db=4.8, scale_db=0.55, confirm_from=0.01),
+        CODE_DOUBT,
         description="odds that a code is off by more than six sigma, by its loss of C/N0; fitted to L1 codes of "
         "simulated streets (suburban, urban, dense; seed 101)",
     )
@@ -70,9 +77,59 @@ class CodeServiceConfig(Config):
         return self
 
 
+class DeclaredBarometerConfig(Config):
+    """What a navigator declares of the height by its barometer; it bounds the true errors of ``barometer``."""
+
+    offset_m: float = Field(0.75, ge=0, description="offset after the calibration, 1 sigma [m]; 1.5 times the true one")
+    weather_m2ps: float = Field(
+        5e-3,
+        ge=0,
+        description="growth of the variance since the calibration by the weather [m^2/s]; above 2 sigma^2 / tau = "
+        "3.6e-3 of the true one; 3 m in half an hour",
+    )
+    wind: float = Field(0.15, ge=0, description="pressure coefficient, 1 sigma [-]; 1.5 times the true one")
+    noise_m: float = Field(0.15, ge=0, description="white noise, 1 sigma [m]; 1.5 times the true one")
+
+    def variance_m2(self, time_s: float, speed_mps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Variance of the height ``time_s`` after the calibration at these speeds (B,)."""
+        wind = self.wind * np.square(speed_mps) / (2.0 * GRAVITY)
+        return np.asarray(self.offset_m**2 + self.weather_m2ps * time_s + self.noise_m**2 + np.square(wind))
+
+
+class CouplingConfig(Config):
+    """How code services and the position reckoned on are combined (:mod:`.coupling_kernel`)."""
+
+    kind: Literal["none", "loose", "tight"] = Field(
+        "none",
+        description="none: the position of the lower level; loose: both positions by their bounds; tight: ranges, of "
+        "two satellites and more, correct the position reckoned on",
+    )
+    restart: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="level of a service over that of the coupled position, below which it is taken whole [-]; "
+        "chosen: at 1 the mean would begin anew all the time",
+    )
+    fault_time_s: float = Field(
+        10.0,
+        gt=0,
+        description="mean time for which faults stay that no mode covers [s]; as multipath_tau_s: reflections",
+    )
+
+    def memory(self, interval_s: float) -> float:
+        """Factor on the probability of such faults, as the mean remembers three time constants of its least weight."""
+        return 1.0 + 3.0 * interval_s / (LEAST_WEIGHT * self.fault_time_s)
+
+
 class ServicesConfig(Config):
     """Declared figures of each service."""
 
+    coupling: CouplingConfig = Field(CouplingConfig(), description="of code services and the position reckoned on")
+    barometer: DeclaredBarometerConfig = Field(
+        DeclaredBarometerConfig(),
+        description="height by the barometer, one more row of code positions where it is fitted",
+    )
     spp: CodeServiceConfig = Field(
         CodeServiceConfig(constellation_prior=BROADCAST_PRIOR), description="broadcast ephemerides and models alone"
     )
@@ -99,3 +156,8 @@ class ServicesConfig(Config):
         ),
         description="precise orbits and clocks; the float ambiguity of a satellite is its mean of code less carrier",
     )
+
+    @field_validator("coupling", mode="before")
+    @classmethod
+    def _kind_alone(cls, value: Any) -> Any:
+        return {"kind": value} if isinstance(value, str) else value

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, detect_and_exclude
+from lanebound.integrity.monitoring.doubt_modes_kernel import keep_likely
 from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.monitoring.jump_kernel import bounded, is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
@@ -23,14 +24,13 @@ from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
     lever_bounds,
 )
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
-from lanebound.integrity.navigators.services.records_kernel import ServiceRows, ServiceTables
+from lanebound.integrity.navigators.services.records_kernel import ServiceInputs, ServiceRows, ServiceTables
 from lanebound.integrity.navigators.services.zenith_kernel import CarrierTables, update_zenith
 from lanebound.integrity.positioning.codes_kernel import NO_CORRECTIONS
-from lanebound.integrity.positioning.doubtful_kernel import find_sets
 from lanebound.integrity.positioning.geometry_kernel import SOLVED, find_geometry, solve
 from lanebound.integrity.positioning.rows_kernel import Rows
 
-__all__ = ["LEAST_ROWS", "check_ranges", "find_fix"]
+__all__ = ["LEAST_ROWS", "check_ranges", "find_fix", "keep_likely", "offer", "pack", "position_of"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -50,12 +50,13 @@ def check_ranges(
     scratch = fixed_scratch(service.allowed.shape[0], par.rtk.doubt.sets)
     position, q = np.empty(3), np.empty((3, 3))
     for v in range(first, last):
-        ranges.consistent[v] = False
+        ranges.consistent[v], ranges.few[v] = False, False
         if not ranges.due[v] or (epoch.work.vehicles[v].fixed.usable and not learns):
             continue
         los = epoch.measured.los[epoch.measured.sight[v]]
         here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
-        if keep_likely(here.used, ranges.odds[v], par.rtk.doubt, scratch) < LEAST_ROWS:
+        if keep_likely(here.used, ranges.odds[v], 0.0, par.rtk.doubt, scratch.sets) < LEAST_ROWS:
+            ranges.few[v] = True
             continue
         outcome, _, _, _, excluded = detect_and_exclude(
             here, here.group, epoch.state.vehicles[v].heading.angle, tables.thresholds, par.fde, position, q
@@ -66,53 +67,49 @@ def check_ranges(
 
 
 @jit
-def find_fix(first: int, last: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows) -> None:
+def find_fix(
+    first: int, last: int, epoch: Epoch, service: ServiceTables, inputs: ServiceInputs, ranges: ServiceRows
+) -> None:
     """Offer the position of tested ranges where no service before has, and where its level is the lowest."""
-    par, rules, tables = service.parameters[0], service.rules[0], service.tables
+    par, rules = service.parameters[0], service.rules[0]
     scratch = fixed_scratch(service.allowed.shape[0], par.rtk.doubt.sets)
     levels = np.empty((epoch.out.levels.shape[1], 2))
     for v in range(first, last):
         vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
         if not ranges.consistent[v] or w.fixed.usable:
             continue
-        los = epoch.measured.los[epoch.measured.sight[v]]
-        here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
-        used = pack(here, ranges.odds[v], rules.bias, scratch)
-        hdop, geo = hdop_of(los, here.group, here.used), scratch.geo
-        if not hdop <= rules.max_hdop:
+        used, hdop = position_of(v, epoch, service, inputs, ranges, scratch, levels)
+        if used == 0:
             continue
-        found = find_geometry(scratch.los, scratch.group, scratch.variance, scratch.bias, used, w.sin_h, w.cos_h, geo)
-        if found != SOLVED:
-            continue
-        solve(scratch.y, scratch.group, used, geo)
-        levels_of_fix(used, 0.0, w.sin_h, w.cos_h, tables, par, scratch, levels)
-        lever_at, lever_ct = lever_bounds(vehicle, courses_of(epoch.state.courses, v), par)
-        levels[:, 0] += lever_at
-        levels[:, 1] += lever_ct
         if is_lower(levels, epoch.out.levels[v]) or is_suspicious(vehicle.jump):
-            offer(w.fixed, geo.fix[0], used, ranges.excluded[v], hdop)
+            offer(w.fixed, scratch.geo.fix[0], used, ranges.excluded[v], hdop)
             epoch.work.fixed_levels[v, :, :] = levels
             ranges.offered[v] = rules.mode
 
 
 @jit
-def keep_likely(used: Bools, odds: Array, doubt: Any, scratch: FixedScratch) -> int:
-    """Take satellites out of use, the most doubtful first, until few enough sets remain to be monitored; how many
-    remain."""
-    member, own, n = np.empty(used.shape[0], dtype=np.int64), np.empty(used.shape[0]), 0
-    for s in range(used.shape[0]):
-        if used[s]:
-            member[n], own[n] = s, odds[s]
-            n += 1
-    while n > 0 and find_sets(own, n, doubt, scratch.sets)[0] < 0:
-        worst = 0
-        for i in range(1, n):
-            if own[i] > own[worst]:
-                worst = i
-        used[member[worst]] = False
-        n -= 1
-        member[worst], own[worst] = member[n], own[n]
-    return n
+def position_of(
+    v: int, epoch: Epoch, service: ServiceTables, inputs: ServiceInputs, ranges: ServiceRows, scratch: FixedScratch,
+    levels: Array,
+) -> tuple[int, float]:  # fmt: skip
+    """Solve the ranges of vehicle v and fill its levels (R, 2); number of ranges, 0 without a position, and HDOP."""
+    par, rules, tables = service.parameters[0], service.rules[0], service.tables
+    vehicle, w, los = epoch.state.vehicles[v], epoch.work.vehicles[v], epoch.measured.los[epoch.measured.sight[v]]
+    here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
+    used = pack(here, ranges.odds[v], rules.bias, scratch)
+    hdop, geo = hdop_of(los, here.group, here.used), scratch.geo
+    if not hdop <= rules.max_hdop:
+        return 0, hdop
+    geo.fix[0].height, geo.fix[0].height_weight = inputs.height[v], 1.0 / inputs.height_variance[v]
+    found = find_geometry(scratch.los, scratch.group, scratch.variance, scratch.bias, used, w.sin_h, w.cos_h, geo)
+    if found != SOLVED:
+        return 0, hdop
+    solve(scratch.y, scratch.group, used, geo)
+    levels_of_fix(used, 0.0, w.sin_h, w.cos_h, tables, par, scratch, levels)
+    lever_at, lever_ct = lever_bounds(vehicle, courses_of(epoch.state.courses, v), par)
+    levels[:, 0] += lever_at
+    levels[:, 1] += lever_ct
+    return used, hdop
 
 
 @jit
@@ -147,4 +144,4 @@ def offer(fixed: Any, fix: Any, satellites: int, excluded: int, hdop: float) -> 
     fixed.p_ee, fixed.p_en, fixed.p_nn = fix.p_ee, fix.p_en, fix.p_nn
     fixed.sigma[0], fixed.sigma[1] = fix.sigma[0], fix.sigma[1]
     fixed.satellites, fixed.excluded, fixed.hdop, fixed.usable = satellites, excluded, hdop, True
-    fixed.status, fixed.coded, fixed.lasting, fixed.wrong = NO_CORRECTIONS, False, False, 0.0
+    fixed.status, fixed.coded, fixed.lasting, fixed.wrong, fixed.turned = NO_CORRECTIONS, False, False, 0.0, True

@@ -15,7 +15,8 @@ __all__ = ["begin_services", "begin_without_rtk", "label_services"]
 @jit
 def begin_services(first: int, last: int, epoch: Epoch, labels: ServiceLabels) -> None:
     """No service has offered a position in this epoch."""
-    labels.offered[first:last] = 0
+    for v in range(first, last):
+        labels.offered[v], epoch.work.vehicles[v].fixed.turned = 0, False
 
 
 @jit
@@ -26,7 +27,7 @@ def begin_without_rtk(first: int, last: int, epoch: Epoch, labels: ServiceLabels
         fixed, levels = epoch.work.vehicles[v].fixed, epoch.work.fixed_levels[v]
         fixed.status, fixed.usable, fixed.coded, fixed.lasting = NO_CORRECTIONS, False, False, False
         fixed.satellites, fixed.excluded, fixed.searched, fixed.hdop = 0, 0, 0, math.inf
-        fixed.wrong, fixed.failure = 0.0, 0.0
+        fixed.wrong, fixed.failure, fixed.turned = 0.0, 0.0, False
         levels[:, :] = 0.0
 
 

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 SERVICE_RULES = record(
     mode=("i8", "code of its Mode"),
     combined=("?", "ranges are ionosphere-free combinations of both bands"),
+    least=("i8", "fewest ranges that are used"),
     interval="time between two positions [s]",
     smoothing="epochs in the time constant of carrier smoothing [-]; 0: none",
     sin_mask="sine of the lowest elevation used",
@@ -57,7 +58,8 @@ class ServiceTables(NamedTuple):
 class ServiceInputs(NamedTuple):
     """Measurements and corrections of an epoch.
 
-    code, phase (B, S, 2) undifferenced [m]; satellite (B, S) correction [m] and zenith (B, S) vertical ionosphere on
+    code, phase (B, S, 2) undifferenced [m]; height (B,) Up of the antenna by the barometer [m] and height_variance (B,)
+    [m^2], inf without one; satellite (B, S) correction [m] and zenith (B, S) vertical ionosphere on
     the first band [m]; declared (S,) 1 sigma of a satellite, inf without a correction, and zenith_declared that of the
     vertical ionosphere [m], both as the provider declares; age, zenith_age (B,) [s].
     """
@@ -70,6 +72,8 @@ class ServiceInputs(NamedTuple):
     zenith_declared: float
     age: Array
     zenith_age: Array
+    height: Array
+    height_variance: Array
 
 
 class ServiceState(NamedTuple):
@@ -82,16 +86,19 @@ class ServiceState(NamedTuple):
 class ServiceRows(NamedTuple):
     """Corrected ranges of an epoch, work of one service after another.
 
-    y, variance, odds (B, S); used (B, S); due (B,) a position is to be found; consistent (B,) the fault test has
-    passed, with ``excluded`` (B,) ranges out of use; offered (B,) as in ServiceLabels.
+    y, variance, odds (B, S), and fast (B, S) the part of the variance by noise and multipath; used (B, S); due (B,) a
+    position is to be found; consistent (B,) the fault test has passed, with ``excluded`` (B,) ranges out of use; few
+    (B,) too few ranges for it remain; offered (B,) as in ServiceLabels.
     """
 
     y: Array
     variance: Array
+    fast: Array
     odds: Array
     used: NDArray[np.bool_]
     due: NDArray[np.bool_]
     consistent: NDArray[np.bool_]
+    few: NDArray[np.bool_]
     excluded: NDArray[np.int64]
     offered: NDArray[np.int64]
 

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["require_fitting_services"]
 
+LONGEST_COUPLED_S = 300.0
+LARGEST_SHARE = 0.9
 BAND_NAMES = ("L1", "L2", "L5")
 LONGEST_S = 100.0  # smoothing on one frequency; the ionosphere parts code and carrier in it, DO-229D appendix J
 
@@ -40,11 +42,29 @@ def require_fitting_services(config: RtkReckoningConfig) -> None:
             _require_atmosphere(config)
         if service.fixes:
             continue
+        _require_coupling(config, service)
         _require_bands(config, service)
         _require_short_smoothing(config, service)
         _require_systems(config, service)
         if service.provider is not None:
             _require_messages(config, service, getattr(config.gnss.augmentation, service.provider))
+
+
+def _require_coupling(config: RtkReckoningConfig, service: Service) -> None:
+    """Means over minutes are not averaged again, and noise keeps a share of the risk."""
+    if config.services.coupling.kind == "none":
+        return
+    declared, path = declared_of(config, service), f"services.{service.name}"
+    if declared.smoothing_s > LONGEST_COUPLED_S:
+        raise ConfigError(
+            f"{path}.smoothing_s must be <= {LONGEST_COUPLED_S:g} with services.coupling, got "
+            f"{declared.smoothing_s:g}: its codes are means of minutes already; set services.coupling none"
+        )
+    if declared.risk_share is not None and not declared.risk_share <= LARGEST_SHARE:
+        raise ConfigError(
+            f"{path}.risk_share must be <= {LARGEST_SHARE} with services.coupling, got {declared.risk_share:g}: the "
+            "rest of the risk is that of noise"
+        )
 
 
 def _require_bands(config: RtkReckoningConfig, service: Service) -> None:

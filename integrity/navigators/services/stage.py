@@ -15,8 +15,21 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.rtk_reckoning.stages import SeparateStage
 from lanebound.integrity.navigators.services.code_kernel import fill_code_ranges
 from lanebound.integrity.navigators.services.config import CodeServiceConfig
-from lanebound.integrity.navigators.services.fix_kernel import check_ranges, find_fix
+from lanebound.integrity.navigators.services.coupling import (
+    LASTING,
+    PROPOSED,
+    BeginCouplingStage,
+    LengthenStage,
+    SettleStage,
+    coupling_parameters,
+    coupling_rules,
+    initial_coupling,
+    proposals,
+    with_rules,
+)
+from lanebound.integrity.navigators.services.fix_kernel import LEAST_ROWS, check_ranges, find_fix
 from lanebound.integrity.navigators.services.label_kernel import begin_services, begin_without_rtk, label_services
+from lanebound.integrity.navigators.services.loose_kernel import couple_fix
 from lanebound.integrity.navigators.services.records_kernel import (
     SERVICE_RULES,
     ServiceInputs,
@@ -79,7 +92,7 @@ def service_tables(config: RtkReckoningConfig, service: Service, system: NDArray
     wavelength[:, : len(bands)] = WAVELENGTH_M[:, bands]
     share = band_shares(wavelength, service.combined)[system]
     return ServiceTables(
-        rules=service_rules(declared, service, config.dt_s),
+        rules=service_rules(declared, service, config),
         parameters=figures.epoch_parameters(own),
         tables=figures.epoch_tables(own, system),
         share=np.ascontiguousarray(share),
@@ -99,17 +112,18 @@ def risk_share(config: RtkReckoningConfig, declared: CodeServiceConfig) -> float
     return 1.0 / (1.0 + sum(not service_named(name).fixes for name in config.service))
 
 
-def service_rules(declared: CodeServiceConfig, service: Service, dt_s: float) -> Records:
+def service_rules(declared: CodeServiceConfig, service: Service, config: RtkReckoningConfig) -> Records:
     """SERVICE_RULES (1,) of a service's declared figures."""
-    d, errors = declared, declared.errors
+    d, errors, tight = declared, declared.errors, config.services.coupling.kind == "tight"
     if service.provider is not None:
         errors = errors.replace(satellite_m=0.0, iono_zenith_m=0.0)
     return one_record(
         SERVICE_RULES,
         mode=int(service.mode),
         combined=service.combined,
+        least=2 if tight else LEAST_ROWS,
         interval=d.interval_s,
-        smoothing=d.smoothing_s / dt_s,
+        smoothing=d.smoothing_s / config.dt_s,
         sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
         cn0_min=d.cn0_min_dbhz,
         max_hdop=d.max_hdop,
@@ -149,14 +163,20 @@ class FixStage(SeparateStage):
     name: str
     tables: ServiceTables
     carrier: Records
+    coupling: tuple[Records, Records] | None = None
 
     def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
         state = ServiceState(states[f"hatch {self.name}"], states[f"since {self.name}"])
         ranges: ServiceRows = states[RANGES]
         carrier = CarrierTables(self.carrier, states[f"zenith {self.name}"])
-        fill_code_ranges(first, last, epoch, self.tables, states[INPUTS][self.name], state, ranges, carrier)
+        inputs: ServiceInputs = states[INPUTS][self.name]
+        fill_code_ranges(first, last, epoch, self.tables, inputs, state, ranges, carrier)
         check_ranges(first, last, epoch, self.tables, ranges, carrier)
-        find_fix(first, last, epoch, self.tables, ranges)
+        if self.coupling is None:
+            find_fix(first, last, epoch, self.tables, inputs, ranges)
+        else:
+            coupling = with_rules(states, *self.coupling)
+            couple_fix(first, last, epoch, self.tables, inputs, ranges, coupling)
 
 
 @dataclass(frozen=True)
@@ -187,10 +207,17 @@ class ServiceSet:
         chosen = [service_named(name) for name in config.service]
         self._coded = [service for service in chosen if not service.fixes]
         self._satellites = len(system)
+        self._barometer = config.services.barometer
         self._declared = {s.name: declared_of(config, s) for s in self._coded}
         self.with_rtk = any(service.fixes for service in chosen)
         self._network = any(service.name == "nrtk" for service in chosen)
+        self._cases, self._dt = len(config.cases), config.dt_s
+        self._coupling = config.services.coupling if self._coded and config.services.coupling.kind != "none" else None
         self._tables = {service.name: service_tables(config, service, system) for service in self._coded}
+        if self._coupling is not None:
+            for name, t in self._tables.items():
+                rules = coupling_rules(self._coupling, self._declared[name], self._dt)
+                self._tables[name] = t._replace(parameters=coupling_parameters(t.parameters, t.tables.cases, rules))
 
     @property
     def active(self) -> bool:
@@ -199,11 +226,33 @@ class ServiceSet:
 
     def begin(self) -> list[SeparateStage]:
         """The stage before any position."""
-        return [BeginStage(self.with_rtk)] if self.active else []
+        coupling = [BeginCouplingStage()] if self._coupling else []
+        return [BeginStage(self.with_rtk), *coupling] if self.active else []
+
+    def before_levels(self) -> list[SeparateStage]:
+        """The stage before the levels of the position reckoned on."""
+        return [LengthenStage()] if self._coupling else []
+
+    def settle(self) -> list[SeparateStage]:
+        """The stage after a position was taken."""
+        return [SettleStage()] if self._coupling else []
+
+    def forget(self, states: Mapping[str, Any], rows: NDArray[np.int64] | slice) -> None:
+        """Vehicles that are placed anew hold no code errors."""
+        if self._coupling:
+            states[LASTING]["active"][rows] = False
 
     def fixes(self) -> list[SeparateStage]:
         """The stages of the positions, in order of preference."""
-        return [FixStage(s.name, self._tables[s.name], carrier_rules(self._declared[s.name])) for s in self._coded]
+        return [
+            FixStage(s.name, self._tables[s.name], carrier_rules(self._declared[s.name]), self._rules_of(s.name))
+            for s in self._coded
+        ]
+
+    def _rules_of(self, name: str) -> tuple[Records, Records] | None:
+        if self._coupling is None:
+            return None
+        return coupling_rules(self._coupling, self._declared[name], self._dt), self._tables[name].parameters
 
     def label(self) -> list[SeparateStage]:
         """The stage after the report."""
@@ -219,20 +268,26 @@ class ServiceSet:
             out[f"hatch {service.name}"] = np.zeros((batch, self._satellites), HATCH)
             out[f"since {service.name}"] = np.full(batch, np.inf)
             out[f"zenith {service.name}"] = np.zeros(batch, ZENITH)
-        return out
+        return out | (initial_coupling(batch, self._cases) if self._coupling else {})
 
     def with_inputs(self, m: Measurements, states: Mapping[str, Any]) -> Mapping[str, Any]:
         """The states, and beside them what the services measure and hold in this epoch."""
         if not self.active:
             return states
         inputs = {service.name: self._inputs(service, m) for service in self._coded}
-        return {**states, INPUTS: inputs, RANGES: self._ranges(states[OFFERED])}
+        shared: dict[str, Any] = {INPUTS: inputs, RANGES: self._ranges(states[OFFERED])}
+        if self._coupling:
+            first = self._coded[0].name
+            rules, modes = self._rules_of(first), self._tables[first].tables.prior.size
+            assert rules is not None
+            shared[PROPOSED] = proposals(*rules, states, modes)
+        return {**states, **shared}
 
     def _ranges(self, offered: NDArray[np.int64]) -> ServiceRows:
         shape = offered.size, self._satellites
-        y, variance, odds = np.zeros((3, *shape))
-        used, (due, consistent) = np.zeros(shape, np.bool_), np.zeros((2, shape[0]), np.bool_)
-        return ServiceRows(y, variance, odds, used, due, consistent, np.zeros(shape[0], np.int64), offered)
+        y, variance, fast, odds = np.zeros((4, *shape))
+        used, (due, consistent, few) = np.zeros(shape, np.bool_), np.zeros((3, shape[0]), np.bool_)
+        return ServiceRows(y, variance, fast, odds, used, due, consistent, few, np.zeros(shape[0], np.int64), offered)
 
     def _inputs(self, service: Service, m: Measurements) -> ServiceInputs:
         g, shape = m.gnss, m.gnss.tracked.shape
@@ -241,11 +296,19 @@ class ServiceSet:
         if service.provider is None:
             nothing, now = np.zeros(shape), np.zeros(shape[0])
             declared = np.full(shape[1], self._declared[service.name].errors.satellite_m)
-            return ServiceInputs(g.raw_code_m, g.raw_phase_m, nothing, nothing, declared, 0.0, now, now)
+            return ServiceInputs(
+                g.raw_code_m, g.raw_phase_m, nothing, nothing, declared, 0.0, now, now, *self._height(m)
+            )
         assert g.corrections is not None, "its provider is simulated"
         held = g.corrections[service.provider]
         zenith_age = held.zenith_age_s if held.has_zenith else np.zeros(shape[0])
         return ServiceInputs(
             g.raw_code_m, g.raw_phase_m, held.satellite_m, held.zenith_m, held.declared_m,
-            float(held.zenith_declared_m), held.age_s, zenith_age,
+            float(held.zenith_declared_m), held.age_s, zenith_age, *self._height(m),
         )  # fmt: skip
+
+    def _height(self, m: Measurements) -> tuple[Array, Array]:
+        """Height by the barometer and its variance (B,); an infinite variance without one."""
+        if m.barometer is None:
+            return np.zeros(m.gnss.tracked.shape[0]), np.full(m.gnss.tracked.shape[0], np.inf)
+        return m.barometer.height_m, self._barometer.variance_m2(m.time_s, m.odometer.speed_mps)

@@ -2,8 +2,10 @@
 
 S2 section 8: where the two velocity vectors differ by more than 0.25 m/s, the position moves by heading and odometer.
 The modes of S1 compare speeds alone, with 0.5 m/s. ``navigator.monitors`` adds this test by the name
-``lanebound.integrity.navigators.services.velocity_switch:velocity_switch``. The course of heading and odometer is that
-in the middle of an epoch. Before the first heading nothing is compared, nor while the odometer is doubted.
+``lanebound.integrity.navigators.services.velocity_switch:velocity_switch``. Both velocities are those at the end of an
+epoch: the wheels give its mean speed, to which half of the accelerometer's increment is added, and the course is that
+of the heading at the end. The course in its middle would differ by ``w dt / 2`` in a turn at rate w, 0.25 m/s at 10 m/s
+and 0.5 rad/s. Before the first heading nothing is compared, nor while the odometer is doubted.
 """
 
 from __future__ import annotations
@@ -24,10 +26,13 @@ LARGEST_MPS = 0.25  # difference of the two velocity vectors, S2 section 8
 def switch_velocity(first: int, last: int, epoch: Any, own: Any) -> None:
     """Refuse the Doppler velocity where it differs from that of heading and odometer by more than LARGEST_MPS."""
     for v in range(first, last):
-        vehicle, w, speed = epoch.state.vehicles[v], epoch.work.vehicles[v], epoch.measured.speed[v]
+        vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
         if not w.measured or vehicle.watch.doubted or not vehicle.since_calibration < math.inf:
             continue
-        east, north = w.v_e - speed * math.sin(w.middle), w.v_n - speed * math.cos(w.middle)
+        speed, course = epoch.measured.speed[v], vehicle.heading.angle + w.slip
+        if not w.resting:
+            speed += 0.5 * epoch.measured.delta_v[v, 0]
+        east, north = w.v_e - speed * math.sin(course), w.v_n - speed * math.cos(course)
         if east * east + north * north > LARGEST_MPS * LARGEST_MPS:
             refuse_doppler(w)
 
@@ -35,6 +40,6 @@ def switch_velocity(first: int, last: int, epoch: Any, own: Any) -> None:
 register_monitor(
     "velocity_switch",
     "Doppler velocities that differ from heading and odometer by more than 0.25 m/s do not move the position (S2)",
-    ("range_rate", "speed", "turn"),
+    ("range_rate", "speed", "turn", "delta_v"),
     {Point.ESTIMATED: switch_velocity},
 )

@@ -111,7 +111,7 @@ class CodePosition:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _CodeRows:
     """Signals of B vehicles in K places: satellite (B, K) of S, line of sight (B, K, 3), clock (B, K), code, rate
     (B, K), used (B, K), variance fast and slow of each satellite's own (B, K), and slow effects common to all
     (B, K, 2), all [m]; known height (B,) and its 1 sigma (B,), inf for none."""
@@ -153,7 +153,7 @@ def locate_by_codes(config: CodePositionConfig, m: Measurements) -> CodePosition
 
 def _position(
     config: CodePositionConfig,
-    rows: _Rows,
+    rows: _CodeRows,
     used: Bools,
     fit: CodeFit,
     good: Bools,
@@ -193,7 +193,7 @@ def _position(
     )
 
 
-def _gather(config: CodePositionConfig, m: Measurements) -> _Rows:
+def _gather(config: CodePositionConfig, m: Measurements) -> _CodeRows:
     """The usable signals of each vehicle in the first places, in the order of the satellites."""
     g, batch = m.gnss, m.gnss.tracked.shape[0]
     los = m.sky.los_enu[m.sky.index]
@@ -211,7 +211,7 @@ def _gather(config: CodePositionConfig, m: Measurements) -> _Rows:
     los, cn0 = np.where(used[..., None], los[row, place], UP), g.cn0_dbhz[row, place]
     correction, errors = _corrected(config, m, place, used, los[..., 2], cn0)
     known = config.height_sigma_m
-    return _Rows(
+    return _CodeRows(
         place=place,
         satellites=usable.shape[1],
         los=los,

@@ -84,7 +84,7 @@ class MatchInputs(NamedTuple):
     """What an epoch gives to matchers, of B vehicles.
 
     position_en_m (B, 2); heading_rad (B,) azimuth of motion; speed_mps (B,); moved_m (B,) distance since the last
-    epoch; sigma_m (B,) of the position on one axis; usable (B,) there is a position.
+    epoch; sigma_m (B,) of the position on one axis; usable (B,) there is a position; headed (B,) the heading is known.
     """
 
     position_en_m: Array
@@ -93,6 +93,7 @@ class MatchInputs(NamedTuple):
     moved_m: Array
     sigma_m: Array
     usable: Bools
+    headed: Bools
 
     @classmethod
     def of(
@@ -104,6 +105,7 @@ class MatchInputs(NamedTuple):
         moved_m: ArrayLike = 0.0,
         sigma_m: ArrayLike = 4.07,
         usable: ArrayLike = True,
+        headed: ArrayLike = True,
     ) -> Self:
         """Inputs of positions (B, 2), with scalars for what all vehicles have in common."""
         position = require_finite("position_en_m", position_en_m)
@@ -115,7 +117,13 @@ class MatchInputs(NamedTuple):
         return cls(
             position, each("heading_rad", heading_rad), each("speed_mps", speed_mps), each("moved_m", moved_m),
             each("sigma_m", sigma_m), np.broadcast_to(np.asarray(usable, np.bool_), batch).copy(),
+            np.broadcast_to(np.asarray(headed, np.bool_), batch).copy(),
         )  # fmt: skip
+
+    @property
+    def steady(self) -> Bools:
+        """(B,): there is a direction of motion."""
+        return np.asarray((self.speed_mps >= STEADY_MPS) & self.headed)
 
 
 class MapMatches(NamedTuple):
@@ -172,7 +180,7 @@ class MapMatcher(Protocol):
 
 def heading_agreement(near: NearLinks, inputs: MatchInputs) -> Array:
     """Cosine of the link's heading against the motion, (B, K); 0 for vehicles too slow to have a heading."""
-    steady = inputs.speed_mps[:, None] >= STEADY_MPS
+    steady = inputs.steady[:, None]
     return np.where(steady, np.cos(near.heading_rad - inputs.heading_rad[:, None]), 0.0)
 
 
@@ -185,7 +193,7 @@ def emission(near: NearLinks, inputs: MatchInputs, heading_sigma_rad: float | No
     out = -0.5 * np.square(near_d / inputs.sigma_m[:, None])
     if heading_sigma_rad is not None:
         off = wrap_angle(near.heading_rad - inputs.heading_rad[:, None]) / heading_sigma_rad
-        out = out - np.where(inputs.speed_mps[:, None] >= STEADY_MPS, 0.5 * np.square(off), 0.0)
+        out = out - np.where(inputs.steady[:, None], 0.5 * np.square(off), 0.0)
     return np.where(near.there, out, -np.inf)
 
 

@@ -9,7 +9,6 @@ from scipy.stats import binom, norm
 from lanebound.integrity.assessment.accuracy import accuracy_by_mode, measure_accuracy, mode_share
 from lanebound.integrity.assessment.availability import (
     availability_by_mode,
-    continuity,
     find_outages,
     integrity_available,
 )
@@ -75,15 +74,6 @@ def test_outages_by_hand() -> None:
         6,
     )
     assert find_outages([True, True], [0.0, 1.0]).summary()["count"] == 0
-
-
-def test_continuity_by_hand() -> None:
-    available = [True, True, True, False, True, True]
-    assert continuity(available, np.arange(6.0), 1.0) == pytest.approx(3 / 4)  # starts 0, 1, 2, 4; lost from 2
-    assert continuity(available, np.arange(6.0), 2.0) == pytest.approx(1 / 3)
-    assert continuity([False] * 6, np.arange(6.0), 2.0) == 0.0
-    with pytest.raises(InputError, match="window_s"):
-        continuity(available, np.arange(6.0), 6.0)
 
 
 @pytest.mark.parametrize(

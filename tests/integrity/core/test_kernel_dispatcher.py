@@ -120,3 +120,19 @@ def test_garbage_is_collected_as_before_after_a_compilation(fresh):
 def test_without_compilation_a_kernel_is_the_function(monkeypatch):
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
     assert kd.kernel_of(len) is len
+
+
+def test_this_version_of_numba_has_all_that_is_needed():
+    assert kd._missing() == []
+
+
+def test_a_version_of_numba_without_a_needed_attribute_compiles_plain_functions(fresh, monkeypatch):
+    monkeypatch.setattr(kd, "NEEDED", (*kd.NEEDED, (kd.CPUDispatcher, ("not_there",))))
+    assert kd._missing() == ["CPUDispatcher.not_there"]
+    pair = fresh()
+    assert not isinstance(pair.plus, kd.Kernel)
+    assert (pair.twice(1.5), pair.plus(2)) == (5.0, 3)
+    assert kd.address_of(pair.plus, I8) != 0
+    again = fresh()
+    assert again.plus(2) == 3
+    assert sum(again.plus.stats.cache_hits.values()) == 1, "cached on disk"

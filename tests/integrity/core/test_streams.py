@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.streams import STREAM_NAMES, Streams, named_generator
+from lanebound.integrity.core.streams import STREAM_NAMES, Streams, named_generator, named_states
 
 NAMES = st.sampled_from(STREAM_NAMES)
 
@@ -51,6 +51,15 @@ def test_a_stream_is_sfc64_seeded_by_seed_and_hashed_name():
     expected = np.random.SFC64(np.random.SeedSequence([11, key])).random_raw(4)
     np.testing.assert_array_equal(named_generator(11, "imu").bit_generator.random_raw(4), expected)
     np.testing.assert_array_equal(named_generator(np.int64(11), "imu").bit_generator.random_raw(4), expected)
+
+
+def test_seeds_of_one_or_two_words_and_beyond_are_those_of_numpy():
+    """Seeds at the bounds of words of 32 and 64 bits, and a hundred others."""
+    seeds = [0, 1, 2**32 - 1, 2**32, 2**63, 2**64 - 1, *np.random.default_rng(3).integers(2**62, size=100).tolist()]
+    for name in STREAM_NAMES:
+        for chosen in (seeds, [2**64, 5]):
+            expected = [named_generator(seed, name).bit_generator.state["state"]["state"] for seed in chosen]
+            np.testing.assert_array_equal(named_states(chosen, name), expected)
 
 
 def test_compiled_draws_are_those_of_numpy_bit_by_bit():

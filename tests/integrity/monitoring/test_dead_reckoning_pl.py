@@ -191,6 +191,24 @@ def test_kernel_equals_reference(sources: str) -> None:
         np.testing.assert_allclose(levels, protection_levels(growth, 1.1, config, [1e-3, 1e-6]), rtol=1e-11)
 
 
+def test_a_wrong_heading_shortens_the_path_by_no_more_than_its_bound() -> None:
+    """Headings at K sigma + B in every epoch, on a path with a bend; at most twice the path."""
+    g, step, k, bias, variance, angle = blank(), blank_step(), 4.0, 0.01, 0.03**2, 0.0
+    short, error = np.zeros(2), k * 0.03 + bias
+    for epoch in range(200):
+        step["turn"]["mean_variance"] = variance
+        angle = 0.3 if epoch < 100 else 0.3 + np.pi / 2.0
+        dk.step_odometer(step, 10.0, np.sin(angle), np.cos(angle), SIGMA_ODOMETER, 0.0, bias, g)
+        short += 10.0 * DT * (1.0 - np.cos(error)) * np.array([np.sin(angle), np.cos(angle)])
+    for sine, cosine in ((np.sin(angle), np.cos(angle)), (np.cos(angle), -np.sin(angle))):
+        bound = dk.shortened(sine, cosine, k, g)
+        path = abs(sine) * g["run_e"] + abs(cosine) * g["run_n"]
+        assert bound == pytest.approx(0.5 * error**2 * path)
+        assert bound >= abs(sine * short[0] + cosine * short[1])
+        assert dk.shortened(sine, cosine, 1e3, g) == pytest.approx(2.0 * path)
+        assert dk.shortened(sine, cosine, np.inf, g) == pytest.approx(2.0 * path)
+
+
 @pytest.mark.parametrize("sources", SOURCES)
 def test_covariance_is_that_of_simulated_errors(sources: str) -> None:
     """Variances of 40,000 whitened errors in both directions; fails by chance once in 1000 runs for each case."""

@@ -18,6 +18,7 @@ from lanebound.integrity.monitoring.jump_kernel import (
     TRUSTED,
     begin_epoch,
     contradicts,
+    grow_drift,
     is_suspicious,
     judge_jump,
     suspects_signals,
@@ -138,3 +139,47 @@ def test_the_levels_hold_whichever_history_is_right(shift: float, direction: flo
     at, ct = abs(shift * math.cos(direction - heading)), abs(shift * math.sin(direction - heading))
     assert (levels[0] >= [max(at + 0.03, 0.3) - 1e-9, max(ct + 0.02, 0.2) - 1e-9]).all()
     assert (levels[1] >= [max(at + 0.3, 3.0) - 1e-9, max(ct + 0.2, 2.0) - 1e-9]).all()
+
+
+@pytest.mark.parametrize(("by_odometer", "wait_s"), [(False, WAITS_S[0]), (True, WAITS_S[1])])
+def test_a_drift_that_the_odometer_explains_makes_rtk_wait_for_the_short_quarantine(
+    by_odometer: bool, wait_s: float
+) -> None:
+    monitor = Monitor()
+    monitor.jump["drifts"], monitor.jump["by_odometer"] = True, by_odometer
+    assert monitor.judge(0.0, conflict=True) == QUARANTINED
+    assert monitor.quarantine(0.0) == pytest.approx(wait_s - DT)
+    assert not monitor.jump["by_odometer"]
+
+
+@pytest.mark.parametrize(("speed", "grown_m"), [(10.0, 0.5 * 20.0), (20.0, 20.0)])
+def test_after_a_drift_levels_grow_with_what_the_odometer_would_add_until_rtk_is_accepted(
+    speed: float, grown_m: float
+) -> None:
+    """0.5 m/s along at 10 m/s, 20 s later, RTK lost meanwhile: the odometer's error of 5 % is in the level."""
+    monitor = Monitor()
+    monitor.jump["drifts"], monitor.jump["rate_at"], monitor.jump["drift_speed"] = True, 0.5, 10.0
+    assert monitor.judge(0.0, conflict=True) == QUARANTINED
+    for _ in range(200):
+        grow_drift(DT, speed, SIN, COS, monitor.jump)
+    levels = np.array([[0.3, 0.2]])
+    widen(SIN, COS, np.zeros((1, 2)), monitor.jump, levels)
+    assert levels[0] == pytest.approx([0.3 + grown_m, 0.2])
+    monitor.quarantine(0.0)
+    assert monitor.jump["off_e"] == monitor.jump["rate_at"] == 0.0
+
+
+def test_the_rate_of_a_drift_follows_rtk_in_the_quarantine() -> None:
+    """Windows showed 0.2 m/s; RTK then leaves the position by 1 m/s for 2 s and is lost: 1 m/s counts from there on."""
+    monitor = Monitor()
+    monitor.jump["drifts"], monitor.jump["rate_at"], monitor.jump["drift_speed"] = True, 0.2, 10.0
+    assert monitor.judge(0.3, conflict=True) == QUARANTINED
+    for k in range(1, 51):
+        grow_drift(DT, 10.0, SIN, COS, monitor.jump)
+        if k <= 20:
+            assert monitor.judge(0.3 + k * DT) == QUARANTINED
+    levels = np.array([[0.3, 0.2]])
+    widen(SIN, COS, np.zeros((1, 2)), monitor.jump, levels)
+    assert monitor.jump["rate_at"] == pytest.approx(1.0)
+    assert levels[0, 0] >= 0.3 + 0.3 + 5.0  # what the odometer is off by then, if it is the odometer
+    assert levels[0, 1] == pytest.approx(0.2)

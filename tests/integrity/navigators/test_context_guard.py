@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,12 +12,13 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.monitoring.context.monitor import ContextReason, Light
-from lanebound.integrity.navigators.context_guard import ContextGuard, ContextGuardConfig
+from lanebound.integrity.navigators.context_guard import ContextGuard, ContextGuardConfig, Judged, judged_position
 from lanebound.integrity.navigators.solution import ContextReport, Solution
 from lanebound.integrity.positioning.map_matching.builder import MapBuilder
 from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 
 DT, SPEED = 0.5, 10.0
+LIMIT_M = 6.95  # amid the levels of codes under an open sky
 KNOWN = 22  # epochs until the average of ten seconds is known
 
 
@@ -29,6 +32,7 @@ def cross() -> RoadMap:
 
 
 def navigator_of(seeds: list[int], faults: tuple[Fault, ...] = (), **context: object) -> Navigator:
+    context = {"judges": "codes", **context}
     config = NavigatorConfig.load({"kind": "monitored_codes", "dt_s": DT, "context": context})
     track = SkyTrack.from_config(config.sky, 120.0)
     made = Navigator(config, track, SkyMask.open(), seeds, faults=FaultSchedule(faults))
@@ -84,7 +88,31 @@ def test_wheels_that_slip_are_red_and_alert_only_where_asked() -> None:
         assert a.pl_at_m[0] == b.pl_at_m[0]  # levels are not touched
         assert b.alert[0] == (a.alert[0] or w)
         if w and not a.alert[0]:
-            assert b.reason[0] == AlertReason.INTEGRITY_TEST_FAILED.code
+            assert b.reason[0] == AlertReason.CONTEXT_WARNING.code
+
+
+def test_the_position_that_the_vehicle_uses_is_judged() -> None:
+    """Its levels and tests are those of the first phase, and the matched position is its own."""
+    risk = {"integrity_risk": 1e-3}
+    quiet, limit = {"false_alarm": 1e-3, "satellite_prior": 1e-4}, LIMIT_M
+    plain = {"kind": "monitored_codes", "dt_s": DT, "risk": risk, "monitor": quiet}
+    config = NavigatorConfig.load({**plain, "context": {"position": {"alert_limit_m": limit}}})
+    navigator = Navigator(config, SkyTrack.from_config(config.sky, 120.0), SkyMask.open(), [1, 2])
+    navigator.use_map(cross())
+    found = drive(navigator, KNOWN + 20)
+    levels = np.array([s.pl_at_m for s in found])
+    reasons = np.array([report(s).reason for s in found])
+    due = slice(1, None, 2)  # a verdict a second
+    assert ((reasons == ContextReason.UNAVAILABLE.code) == (levels > limit))[due].all()
+    assert 0.05 < (levels > limit)[due].mean() < 0.95
+    both = judged_position(found[-1], limit)
+    np.testing.assert_allclose(both.level_m, np.sqrt(2.0) * levels[-1])
+
+
+def test_a_failed_test_of_the_navigator_is_a_fault_of_the_position() -> None:
+    solution = drive(navigator_of([1, 2]), 4)[-1]
+    failed = np.array([AlertReason.INTEGRITY_TEST_FAILED.code, AlertReason.PL_AT.code])
+    assert judged_position(replace(solution, reason=failed), 15.0).consistent.tolist() == [False, True]
 
 
 def test_a_snapshot_goes_on_with_the_same_reports() -> None:
@@ -152,7 +180,10 @@ def test_configuration() -> None:
     assert NavigatorConfig.load(c.to_dict()) == c
     plain = NavigatorConfig()
     assert plain.simulated is plain.receiver  # nothing more is simulated
-    assert NavigatorConfig.load({"context": {}}).simulated.undifferenced
+    assert NavigatorConfig.load({"context": {"judges": "codes"}}).simulated.undifferenced
+    assert c.context.judges is Judged.CODES
+    vehicle = NavigatorConfig.load({"context": {}})
+    assert vehicle.simulated is vehicle.receiver
     with pytest.raises(ConfigError, match=r"context\.interval_s must lie in \(0, 60\], got 0"):
         NavigatorConfig.load({"context": {"interval_s": 0}})
     with pytest.raises(ConfigError, match=r"context\.warn_at"):

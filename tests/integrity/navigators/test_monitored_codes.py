@@ -181,3 +181,37 @@ def test_the_kind_drives_environments_the_engine_and_the_command() -> None:
     arguments = ["--set", "navigator.kind=monitored_codes", "--set", "navigator.monitor.kind=araim"]
     done = CliRunner().invoke(app, ["drive", "LaneKeeping", *arguments, "--set", "duration_s=2", "--json"])
     assert done.exit_code == 0, done.output
+
+
+def test_the_monitor_is_by_default_the_one_of_several_reflected_codes_and_may_be_named_alone() -> None:
+    assert NavigatorConfig.load({"kind": "monitored_codes"}).monitor.kind == "odds"
+    assert NavigatorConfig.load({"kind": "monitored_codes", "monitor": "ibpl"}) == config("ibpl")
+    assert NavigatorConfig.load({"kind": "monitored_codes", "monitor": "context"}).monitor.kind == "weighted"
+    for data, words in (
+        (
+            {"monitor": "ibpl"},
+            "monitor is a key of kind monitored_codes, not of rtk_reckoning: leave it out, or choose",
+        ),
+        ({"kind": "filter", "service": "spp"}, "service is a key of kind rtk_reckoning, not of filter"),
+        ({"kind": "monitored_codes", "monitor": []}, "monitor must be a mapping, got .*: write keys and values"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            NavigatorConfig.load(data)
+
+
+def test_weak_codes_are_left_out_and_counted_as_not_used() -> None:
+    navigator = Navigator.nominal(config("odds"), [1], duration_s=30.0)
+    assert isinstance(navigator, MonitoredCodesNavigator)
+    given = navigator._fix
+
+    def weakened(m: Measurements) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        cn0 = m.gnss.cn0_dbhz.copy()
+        cn0[:, ::4] -= 12.0
+        return given(replace(m, gnss=replace(m.gnss, cn0_dbhz=cn0)))
+
+    drive(navigator, 20)
+    navigator._fix = weakened  # type: ignore[method-assign]
+    found = [s for _, s in drive(navigator, 12, 20) if s.satellites[0]]
+    shown = [s for _, s in drive(Navigator.nominal(config("odds"), [1], duration_s=30.0), 20) if s.satellites[0]]
+    assert found[-1].satellites[0] < shown[-1].satellites[0]
+    assert found[-1].excluded[0] == 0

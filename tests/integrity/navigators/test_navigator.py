@@ -16,10 +16,11 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.monitoring.dead_reckoning_pl import initial_growth
+from lanebound.integrity.monitoring.dead_reckoning_pl import initial_growth, missed_detection_factors
 from lanebound.integrity.monitoring.dead_reckoning_pl import protection_levels as protection_levels_dead
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import shortened
 from lanebound.integrity.monitoring.protection import protection_levels
-from lanebound.integrity.monitoring.risk import RiskConfig
+from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.motion.truth import Truth, truth_between
@@ -629,7 +630,10 @@ def test_each_level_grows_from_its_own_start() -> None:
 
 
 def test_levels_in_a_tunnel_are_those_of_the_plain_form() -> None:
-    """Covariance and biases of the vehicle, in the reference functions, with the bias that each level began with."""
+    """Covariance and biases of the vehicle, in the reference functions, with the bias that each level began with.
+
+    Exact levels also have what wrong headings have shortened the path by; its bound has a test of its own.
+    """
     more = [{"integrity_risk": r, "variant": v} for r in (1e-3, RISK) for v in ("published", "exact")]
     sound = {"satellite_prior": (0.0,) * 5, "doppler_constellation_prior": (0.0,) * 5}
     navigator = _navigator(CALM.replace(more_levels=more, risk=sound), mask=_tunnel(150.0, 400.0))
@@ -643,10 +647,17 @@ def test_levels_in_a_tunnel_are_those_of_the_plain_form() -> None:
             by_heading_m=np.stack([g["cth_e"], g["cth_n"]], -1),
             by_speed_m=np.stack([g["cv_e"], g["cv_n"]], -1),
             by_axle_m=np.stack([g["axle_e"], g["axle_n"]], -1),
-            box_m=np.stack([g["box_e"] + start["bias_e"][:, r], g["box_n"] + start["bias_n"][:, r]], -1),
+            box_m=np.stack([g["box_e"] + start["bias_first"][:, r], g["box_n"] + start["bias_second"][:, r]], -1),
         )
         config = RiskConfig(variant=case.variant, unmonitored_risk=wrong)
         expected = protection_levels_dead(growth, run.heading_rad[-1], config, [case.integrity_risk])[:, 0]
+        if case.variant is Variant.EXACT:
+            k = missed_detection_factors(config, [case.integrity_risk])[0]
+            for v, heading in enumerate(run.heading_rad[-1]):
+                sine, cosine = np.sin(heading), np.cos(heading)
+                short = [shortened(*axis, k[q], g[v]) for q, axis in enumerate([(sine, cosine), (cosine, -sine)])]
+                assert 0.0 < max(short) < 0.1
+                expected[v] += short
         np.testing.assert_allclose(run.pl_cases_m[-1, :, r], expected, rtol=1e-9)
         level = run.pl_cases_m[149, :, r]
         assert (expected > level).all()

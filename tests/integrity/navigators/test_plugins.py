@@ -11,6 +11,7 @@ import pickle
 import sys
 from collections.abc import Iterator
 from types import ModuleType
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -20,6 +21,7 @@ from typer.testing import CliRunner
 
 import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.agents.cli import app
+from lanebound.agents.episodes import open_env
 from lanebound.envs.observation import ObservationConfig, entries
 from lanebound.integrity.core.accel import serial
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -331,12 +333,31 @@ def test_a_kind_drives_environments_the_engine_and_the_command(odometer_gyro: Mo
     assert json.loads(done.stdout)["all"]["share of imu_odometer"] == 1.0
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"kind": "filter", "service": "spp"}, "service is a key of kind rtk_reckoning, not of filter: leave it out, "),
+        ({"monitor": "ibpl"}, "monitor is a key of kind monitored_codes, not of rtk_reckoning: leave it out, or ch"),
+        ({"kind": "filter", "alrt": 1}, r"alrt is not a known key: did you mean 'alert'\?"),
+    ],
+)
+def test_a_key_of_another_kind_is_told_as_such(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=f"^{message}"):
+        NavigatorConfig.load(given)
+    with pytest.raises(ConfigError, match=rf"^navigator\.{message}"):
+        open_env("LaneKeeping", {"navigator": given})
+
+
 def test_an_unknown_kind_is_refused_with_the_way_to_register_it() -> None:
-    for kind in ("compass", {"kind": "compass"}):
-        with pytest.raises(
-            ConfigError,
-            match=r"kind must be one of filter, monitored_codes, rtk_reckoning, or a pre.*, got 'compass': import",
-        ):
-            gymnasium.make(KEEPING, config={"navigator": kind}).reset(seed=1)
+    kinds = "filter, monitored_codes, rtk_reckoning"
+    for given, message in (
+        ("compass", rf"^navigator must be a kind \({kinds}\) or a preset \(.*\), got 'compass': import"),
+        ({"kind": "compass"}, rf"kind must be one of {kinds}, got 'compass': import"),
+        ({"kind": "spp"}, rf"kind must be one of {kinds}, got 'spp': it is a preset, give services/spp without 'kind'"),
+        ("services/sp", r"^navigator must be a kind .*, got 'services/sp': did you mean 'services/spp'\?"),
+        ("skies/open", r"^navigator must be a kind .*, got 'skies/open': 'lanebound config list' lists"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            gymnasium.make(KEEPING, config={"navigator": given}).reset(seed=1)
     with pytest.raises(ConfigError, match="'no_such:kind' must name a module that can be imported"):
         NavigatorConfig.load({"kind": "no_such:kind"})

@@ -15,7 +15,9 @@ from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig, co
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.navigators.monitored_codes import MonitoredCodesConfig, code_epochs
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.navigators.services.code_kernel import largest_mean
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
+from lanebound.integrity.positioning.code_errors_kernel import multipath_time
 from lanebound.integrity.positioning.filters.code_position import CodePositionConfig, locate_by_codes
 from lanebound.integrity.sensors.broadcast import mapping, obliquity
 
@@ -105,3 +107,16 @@ def test_the_position_of_the_context_monitor_and_of_the_family_has_the_error_tha
     assert 0.7 < np.sqrt(fit.wsse.sum() / fit.df.sum()) < 1.0  # and residuals
     up = ratio_of(fit.x_m[:, 2:], fit.cofactor[:, 2:, 2:])
     assert 1.5 < up < 2.2  # heights have no level: what is common to all is taken as independent
+
+
+def test_multipath_of_a_creeping_car_lasts_as_long_as_its_way() -> None:
+    rules = CodeErrorBudget().rules()[0]
+    times = [multipath_time(rules, v, 0.15) for v in (0.0, 0.1, 0.2, 1.0, 2.0, -10.0, 30.0)]
+    assert times == pytest.approx([300.0, 300.0, 100.0, 20.0, 10.0, 10.0, 10.0])
+
+
+def test_a_mean_of_one_frequency_is_no_longer_than_the_ionosphere_allows() -> None:
+    assert largest_mean(1000.0, 0.0, 1.0) == 1000.0
+    assert largest_mean(1000.0, 3e-4, 0.09) == pytest.approx(1000.0)
+    assert largest_mean(2000.0, 3e-4, 0.09) == pytest.approx(1000.0)  # 0.3 m over 0.3 mm in an epoch
+    assert largest_mean(2000.0, 10.0, 0.09) == 1.0

@@ -147,6 +147,18 @@ def test_direction_and_connection_decide_where_distance_does_not() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("kind", ["topological", "hidden_markov"])
+def test_a_heading_that_is_not_known_is_no_heading_to_the_north(kind) -> None:
+    road_map, found = crossing(), {}
+    for headed in (True, False):
+        matcher = make_matcher(road_map, MatchingConfig(kind=kind), 1)
+        for k in range(4):  # to the South at 10 m/s; a missing velocity reads 0, and so an azimuth of 0
+            inputs = MatchInputs.of([[0.5, 80.0 - 10.0 * k]], speed_mps=10.0, moved_m=10.0, headed=headed)
+            found[headed] = int(matcher.step(inputs).link[0])
+    assert found[True] == 4  # away from the origin
+    assert found[False] == 0 if kind == "hidden_markov" else found[False] in (0, 4)  # only routes tell the direction
+
+
 def test_a_vehicle_at_rest_stays_on_its_link() -> None:
     road_map = crossing()
     matcher = make_matcher(road_map, MatchingConfig(kind="topological"), 1)

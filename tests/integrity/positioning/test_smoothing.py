@@ -42,3 +42,11 @@ def test_an_ionosphere_that_drifts_moves_it_by_twice_its_change_in_a_time_consta
     iono = drift * np.arange(4000)
     found = _run(iono, -iono, np.ones(4000, bool), n)
     assert found[-1] - iono[-1] == pytest.approx(-2.0 * drift * (n - 1.0), rel=1e-6)
+
+
+def test_the_age_of_the_mean_tells_the_lag_by_a_drift() -> None:
+    hatch, rate = np.zeros(1, HATCH)[0], 0.01
+    for k in range(200):
+        found = smooth(rate * k, -rate * k, True, 40.0, 1e9, 0.9, hatch)  # code and carrier apart by twice the rate
+        assert found - rate * k == pytest.approx(-2.0 * rate * hatch["age"], abs=1e-9)
+    assert hatch["age"] == pytest.approx(39.0, abs=0.5)  # of a time constant of 40 epochs

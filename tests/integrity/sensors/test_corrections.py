@@ -7,6 +7,7 @@ from scipy.stats import kstest, norm, poisson
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors import corrections
+from lanebound.integrity.sensors import corrections_kernel as kernel
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 
@@ -23,10 +24,18 @@ class _Link:
         self.sent = np.zeros((self.area_streams.batch, 2), gk.STATION)
 
     def step(self, lost=False):
-        corrections.advance_network(self.config, self.network, self.dt, self.area_streams)
-        self.sent["code_multipath"] = self.network.message[:, None]  # every message says its number
-        lost = np.broadcast_to(lost, self.batch).copy()
-        return corrections.step(self.config, self.state, self.network, self.sent, self.dt, lost, self.streams)
+        """The ages (B,) after one epoch, by the kernels that the instruments call."""
+        config, network, none = self.config, self.network, np.empty((0, 2))
+        rules, outages = corrections.link_parameters(config, self.dt), config.outage_per_h > 0.0
+        network.epoch += 1
+        z = self.area_streams.normal("network", 2) if outages else none
+        kernel.advance_network(network.epoch, rules[0], z, network.rows)
+        self.sent["code_multipath"] = network.message[:, None]  # every message says its number
+        u, z = (getattr(self.streams, law)("corrections", 1) if outages else none for law in ("uniform", "normal"))
+        rows = kernel.LinkRows(rules, network.rows, self.sent, self.state.links, self.state.held, u, z)
+        age = np.empty(self.batch)
+        kernel.advance(0, self.batch, network.epoch, rows, np.broadcast_to(lost, self.batch).copy(), age)
+        return age
 
     def up(self, epochs):
         """(epochs, B) bool, whether the link carries messages."""
@@ -221,14 +230,6 @@ def test_refuses_what_cannot_be():
     link = _Link(CorrectionsConfig(), 2)
     with pytest.raises(InputError, match="dt_s must be positive"):
         _Link(CorrectionsConfig(), dt=0.0)
-    with pytest.raises(InputError, match="must serve 2 vehicles"):
-        corrections.step(
-            CorrectionsConfig(), link.state, link.network, link.sent, 0.1, np.zeros(3, dtype=bool), link.streams
-        )
-    with pytest.raises(InputError, match="sent must be of 2 areas"):
-        corrections.step(
-            CorrectionsConfig(), link.state, link.network, link.sent[:1], 0.1, np.zeros(2, dtype=bool), link.streams
-        )
     with pytest.raises(InputError, match="of 1 or 3 areas"):
         corrections.initial_state(CorrectionsConfig(), link.network, 2, 0.1, Streams(1, 3))
     with pytest.raises(ConfigError, match="outage_per_h must be >= 0"):

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.core.errors import ConfigError, InputError
-from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.fault_kinds import MAGNITUDE_FIELDS, FaultKind, FaultMoment, Magnitude
 from lanebound.integrity.sensors.fault_registry import fault_kind, fault_kinds, register_fault, withdraw_fault
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
-from lanebound.integrity.sensors.v2v import V2vConfig, V2vMessage, exchange, initial_v2v
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
@@ -37,19 +35,15 @@ def _largest(kind: FaultKind) -> Fault:
 def _measured(faults: FaultSchedule, epochs: int = ONSET + 15) -> list[list[np.ndarray]]:
     """All measurements and messages by epoch, each with the vehicle as its first axis."""
     navigator = Navigator(CONFIG, TRACK, SkyMask.open(), [1, 2], faults=faults)
-    radio, streams = V2vConfig(latency_s=0.0, jitter_s=0.0, loss=0.0), Streams(1, VEHICLES)
-    state, level = initial_v2v(radio, VEHICLES, DT), np.ones(VEHICLES)
     heading, v = np.zeros(VEHICLES), np.tile([0.0, 8.0], (VEHICLES, 1))
     rows = []
     for k in range(1, epochs + 1):
         truth = truth_between(DT * k, DT, (v * (k - 1) * DT, v * k * DT), (v, v), (heading, heading), 0.8 * k)
         m = navigator.measure(truth)
         effects = faults.effects(truth.time_s, DT, SKY, VEHICLES)
-        said = V2vMessage(v * k * DT, heading, 8.0 * level, level, level)
-        inbox = exchange(radio, state, truth.time_s, DT, said, np.zeros((VEHICLES, 2)), effects, streams)
-        heard = (inbox.position_en_m.swapaxes(0, 1), inbox.pl_at_m.T)  # by sender
+        said = (effects.v2v_offset_enu_m, effects.v2v_pl_scale)  # by sender
         signals = [values for values in vars(m.gnss).values() if values is not None]
-        rows.append([*signals, *vars(m.imu).values(), *vars(m.odometer).values(), *heard])
+        rows.append([*signals, *vars(m.imu).values(), *vars(m.odometer).values(), *said])
     return rows
 
 

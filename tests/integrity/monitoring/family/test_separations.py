@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from code_geometry import quiet
+from scipy.special import erfcinv
+from scipy.stats import binom
 
-from lanebound.integrity.monitoring.araim import AraimConfig, araim
+from lanebound.integrity.monitoring.araim import AraimConfig, SortedModes, araim, checked_levels, levels_at
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.monitor import watch
 from lanebound.integrity.monitoring.family.separations import separations
+from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 from lanebound.integrity.monitoring.protection import closed_form_published, protection_levels
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
 from lanebound.integrity.monitoring.separation import separate
@@ -65,3 +68,66 @@ def test_sbas_levels_have_the_factors_of_their_operation() -> None:
     np.testing.assert_allclose(approach.hpl_m, 6.0 * fit.major_m[:, None] * np.ones(2))
     np.testing.assert_allclose(route.hpl_m[:, 0], 6.18 * fit.major_m)
     assert approach.vpl_m[0, 0] == pytest.approx(5.33 * np.sqrt(fit.cofactor[0, 2, 2]))
+
+
+@pytest.mark.parametrize("systems", [(5, 4, 4), (6, 3, 2, 1), (4, 4)])
+def test_modes_by_downdates_are_those_solved_anew(systems: tuple[int, ...]) -> None:
+    """Levels against the kernel that solves every mode again, the test against plain separations; pairs that take the
+    whole of a system of two, and satellites alone in theirs, included."""
+    e = quiet(6, sum(systems), len(systems), 37)
+    group = np.repeat(np.arange(len(systems)), systems)
+    noise = np.random.default_rng(39).normal(size=e.y_m.shape) * e.sigma_m
+    y = noise + np.array([40.0, -60.0] + [0.0] * (group.size - 2)) * (np.arange(6) % 2)[:, None]
+    budget = AraimConfig(
+        vertical_risk=1e-5, horizontal_risk=1e-5, vertical_false_alarm=1e-3, horizontal_false_alarm=1e-3,
+        unmonitored_below=1e-6, satellite_prior=1e-3, constellation_prior=1e-8, at_once=2,
+    )  # fmt: skip
+    modes = enumerate_faults(group, 1e-3, 1e-8, unmonitored_below=1e-6, at_once=2)
+    kept = SortedModes.of(modes, group)
+    assert len(kept) == modes.several.sum()
+    assert len(kept.pair) > len(kept.system) > 0
+    variance = e.sigma_m**2
+    up, plane, alarm = checked_levels(e.los_enu, group, variance, y, budget, kept, np.ones(1))
+    plain_up, plain = levels_at(e.los_enu, group, variance, variance, 0.0, budget, modes, np.ones(1))
+    np.testing.assert_allclose(up, plain_up, rtol=1e-7)
+    np.testing.assert_allclose(plane, plain, rtol=1e-7)
+    design = design_matrix(e.los_enu, np.broadcast_to(group, e.y_m.shape), len(systems))
+    removes = np.unique(np.concatenate([np.eye(group.size, dtype=bool), modes.removes]), axis=0)
+    parts = separate(design, np.eye(group.size) * variance[:, :, None], removes, np.full(6, EAST), y=y)
+    limit = np.sqrt(2.0) * erfcinv(2e-3 / (4.0 * (group.size + len(kept))))  # Qinv(a / (4 n))
+    size = np.abs(parts.separation_m) / np.where(parts.delta_m > 1e-6, parts.delta_m, np.inf)
+    assert (alarm[size.max((-1, -2)) > limit]).all()
+    assert alarm.tolist() == [False, True] * 3
+
+
+KINDS = ("separation", "separation_root", "odds", "weighted", "residual", "ibpl", "uncertainty")
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_vertical_levels_are_those_of_a_plane_that_has_the_height_as_its_axis(name: str) -> None:
+    """A separation of one axis at a risk is that of two axes at twice of it."""
+    e = quiet(40, 14, 2, 41)
+    config = monitor_named(name).config({"vertical": True, "test": "none"})
+    found = watch(e, config, [1e-2, 1e-4])
+    assert np.isfinite(found.vpl_m).all()
+    assert (found.vpl_m[:, 1] > found.vpl_m[:, 0]).all()
+    np.testing.assert_array_equal(found.hpl_m, watch(e, config.replace(vertical=False), [1e-2, 1e-4]).hpl_m)
+    assert np.isinf(watch(e, config.replace(vertical=False), 1e-2).vpl_m).all()
+    if name == "separation_root":
+        rules = RiskConfig(
+            satellite_prior=(1e-3,) * 8, false_alarm=1e-3, subtract_multiple=False, integrity_risk=2e-4
+        )  # fmt: skip
+        design = design_matrix(e.los_enu[..., [2, 0, 1]], np.broadcast_to(e.system, e.y_m.shape), 2)
+        covariance = np.eye(14) * e.sigma_m[:, :, None] ** 2
+        plain = separate(design, covariance, np.eye(14, dtype=bool), np.full(40, EAST), y=e.y_m)
+        root = protection_levels(plain, np.full((40, 14), 1e-3), rules)[:, 0]
+        np.testing.assert_allclose(found.vpl_m[:, 1], root[:, 0], atol=2e-3)
+
+
+def test_errors_of_the_height_stay_within_its_levels() -> None:
+    """Without faults, 20,000 epochs at 1e-2: above the bound by chance in one of a million runs."""
+    e = quiet(20_000, 12, 2, 43)
+    for name in ("separation_root", "weighted", "odds", "ibpl"):
+        v = watch(e, monitor_named(name).config({"vertical": True}), 1e-2)
+        beyond = int((v.usable & (np.abs(v.position_enu_m[:, 2]) > v.vpl_m[:, 0])).sum())
+        assert beyond <= binom.isf(1e-6, e.count, 1e-2)

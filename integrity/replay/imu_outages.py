@@ -1,0 +1,249 @@
+"""Inertial dead reckoning in artificial outages of a recorded drive: gyros and accelerometers, without wheels.
+
+The recording is an inertial log beside a solution of RTKLIB (:mod:`lanebound.integrity.recorded.imu_log`). The sensor
+is levelled by gravity at rest. From the first part of the drive follow its azimuth in the vehicle, the lag of its
+clock and the bias of its yaw rate (:func:`motion_of_log`). An outage starts at the position, track and speed of the
+solution. Along the track
+
+    v(t) = v_0 + int (f - g (p - p_0) - c) dt
+
+with the forward specific force f, the pitch p by the gyro, and c the mean of the integrand over ``settle_s`` before the
+outage, less the acceleration of the solution there: slope and bias of the accelerometer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
+from lanebound.integrity.monitoring.risk import RiskConfig
+from lanebound.integrity.recorded.imu_log import G_MPS2, ImuLog, SolutionTrack, levelled
+from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
+from lanebound.integrity.replay.outages import OutageErrors, averaged
+from lanebound.integrity.replay.reckoning import reckon, turned
+
+__all__ = ["ImuOutageConfig", "InertialMotion", "motion_of_log", "run_inertial_outages"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+LAGS_S = np.arange(-0.5, 0.5001, 0.01)
+MOVING_MPS = 2.0  # slowest speed at which a velocity of the solution gives the track
+REST_MPS = 0.3
+OLD_MPS, OLD_SHARE = 1.0, 0.2  # a velocity that differs more from the change of position is not of its epoch
+LONGEST_GAP_S = 0.6  # between epochs of the solution
+WORST_QUALITY = 2  # of RTKLIB: 1 fixed, 2 float
+LEAST_COHERENCE = 0.7
+
+
+class ImuOutageConfig(Config):
+    """Parameters of the outages and assumed errors of the sensors."""
+
+    rate_hz: float = Field(10.0, gt=0.0, le=100.0, description="epochs in a second [Hz]")
+    longest_s: float = Field(10.0, gt=0.0, description="length of an outage [s]")
+    every_s: float = Field(1.0, gt=0.0, description="time between the starts of outages [s]")
+    rest_s: float = Field(2.0, gt=0.0, description="first part, at rest: gravity and biases of the gyros [s]")
+    calibration_s: float = Field(
+        60.0, gt=0.0, description="driving time used only to find azimuth, lag and yaw bias of the sensor [s]"
+    )
+    settle_s: float = Field(
+        5.0, gt=0.0, description="time before an outage in which slope and accelerometer bias are found [s]"
+    )
+    fix_sigma_m: float = Field(0.02, gt=0.0, description="position of the solution, 1 sigma on each axis [m]")
+    acceleration_bias_mps2: float = Field(
+        0.15, ge=0.0, description="bound of the forward acceleration's error after settling [m/s^2]; chosen"
+    )
+    pitch_drift_degps: float = Field(0.05, ge=0.0, description="bound of the pitch rate's error [deg/s]; chosen")
+    risk: RiskConfig = RiskConfig(integrity_risk=1e-3)
+    bridge: BridgeConfig = BridgeConfig(
+        speed_bias_mps=0.1, speed_scale=0.005, heading_sigma_deg=0.5, heading_bias_deg=0.5, heading_drift_degps=0.05
+    )
+
+
+@dataclass(frozen=True)
+class InertialMotion:
+    """Epochs (T,): time from the start [s], reference position (T, 2) E, N [m], track [rad] and speed [m/s]; forward
+    specific force [m/s^2], pitch by the gyro [rad], yaw rate, positive to the right [rad/s]; whether the solution is
+    usable; ``first`` is the epoch after the calibration."""
+
+    time_s: Array
+    position_m: Array
+    track_rad: Array
+    true_speed_mps: Array
+    force_mps2: Array
+    pitch_rad: Array
+    yaw_rate_radps: Array
+    known: Bools
+    first: int
+
+
+def motion_of_log(
+    log: ImuLog, track: SolutionTrack, config: ImuOutageConfig
+) -> tuple[InertialMotion, dict[str, float]]:
+    """Resample log and solution to common times, and find lag, azimuth and biases of the sensor.
+
+    Raises
+    ------
+    InputError
+        The log does not begin at rest, the two files share too little time, or the first ``calibration_s`` of driving
+        have too few accelerations to find the azimuth.
+    """
+    level, roll, pitch = levelled(log, config.rest_s)
+    rest = log.gps_time_s < log.gps_time_s[0] + config.rest_s
+    rates = level.rate_radps - level.rate_radps[rest].mean(0)
+    start, end = max(log.gps_time_s[0], track.gps_time_s[0]), min(log.gps_time_s[-1], track.gps_time_s[-1])
+    margin = float(LAGS_S[-1])
+    at = np.arange(start + margin, end - margin, 1.0 / config.rate_hz)
+    if at.size < config.rate_hz * (config.settle_s + config.longest_s):
+        raise InputError(
+            f"log and solution must share {config.settle_s + config.longest_s + 2 * margin:g} s, share "
+            f"{max(end - start, 0.0):.1f} s: are they of one drive, and both in GPS time?"
+        )
+    place, speed, heading, known = _reference(track, at)
+    moved = float(speed[at < log.gps_time_s[0] + config.rest_s].max(initial=0.0))
+    if moved > REST_MPS:
+        raise InputError(
+            f"the log must begin with {config.rest_s:g} s at rest, moves at {moved:.1f} m/s: give another rest_s"
+        )
+    first = _calibrated_from(speed, known, config)
+    part = np.flatnonzero(known[:first] & (speed[:first] > MOVING_MPS))
+    turning, ahead = np.gradient(heading, at), np.gradient(speed, at)
+
+    def sensed(value: Array, lag: float) -> Array:
+        return averaged(log.gps_time_s, value, at + lag, config.rate_hz)
+
+    off = [float(np.std(sensed(rates[:, 2], lag)[part] - turning[part])) for lag in LAGS_S]
+    lag = float(LAGS_S[int(np.argmin(off))])
+    yaw = sensed(rates[:, 2], lag)
+    bias = float((yaw[part] - turning[part]).mean())
+    force = np.stack([sensed(level.force_mps2[:, k], lag) for k in range(2)], -1)
+    azimuth, coherence = _azimuth(force[part], np.stack([ahead[part], speed[part] * turning[part]], -1))
+    if coherence < LEAST_COHERENCE:
+        raise InputError(
+            f"accelerations must show how the sensor is mounted: their correlation with the solution is "
+            f"{coherence:.2f}, at least {LEAST_COHERENCE}: give a longer calibration_s, with turns and braking"
+        )
+    c, s = math.cos(azimuth), math.sin(azimuth)
+    forward = c * force[:, 0] + s * force[:, 1]
+    nodding = c * sensed(rates[:, 1], lag) - s * sensed(rates[:, 0], lag)
+    pitched = np.concatenate([[0.0], np.cumsum(0.5 * (nodding[1:] + nodding[:-1]) * np.diff(at))])
+    motion = InertialMotion(at - at[0], place, heading, speed, forward, pitched, yaw - bias, known, first)
+    return motion, {
+        "roll_deg": math.degrees(roll), "pitch_deg": math.degrees(pitch), "azimuth_deg": math.degrees(-azimuth),
+        "coherence": coherence, "lag_s": lag, "yaw_bias_degps": math.degrees(bias), "from_s": float(at[first] - at[0]),
+    }  # fmt: skip
+
+
+def _reference(track: SolutionTrack, at: Array) -> tuple[Array, Array, Array, Bools]:
+    """Position (T, 2), speed, track and whether they are usable (T,), at times; the track holds while at rest."""
+    latitude, longitude, _ = geodetic_from_ecef(track.position_ecef_m[0])
+    enu = (track.position_ecef_m - track.position_ecef_m[0]) @ ecef_from_enu_matrix(latitude, longitude)
+    place = np.stack([np.interp(at, track.gps_time_s, enu[:, k]) for k in range(2)], -1)
+    north, east = (np.interp(at, track.gps_time_s, track.velocity_neu_mps[:, k]) for k in range(2))
+    speed = np.hypot(east, north)
+    moving = speed > MOVING_MPS
+    newest = np.maximum.accumulate(np.where(moving, np.arange(at.size), -1))
+    course = np.arctan2(east, north)
+    heading = np.unwrap(course[np.maximum(newest, int(np.argmax(moving)))])
+    usable = (track.quality >= 1) & (track.quality <= WORST_QUALITY) & ~_old(track, enu)
+    behind = np.clip(np.searchsorted(track.gps_time_s, at, side="right") - 1, 0, track.gps_time_s.size - 2)
+    near = track.gps_time_s[behind + 1] - track.gps_time_s[behind] <= LONGEST_GAP_S
+    return place, speed, heading, near & usable[behind] & usable[behind + 1]
+
+
+def _old(track: SolutionTrack, enu: Array) -> Bools:
+    """Epochs whose velocity is not theirs: it contradicts the change of position to the epochs beside it."""
+    if track.gps_time_s.size < 3:
+        return np.zeros(track.gps_time_s.size, dtype=np.bool_)
+    moved = np.gradient(enu[:, :2], track.gps_time_s, axis=0)
+    told = track.velocity_neu_mps[:, [1, 0]]
+    off = np.linalg.norm(moved - told, axis=-1)
+    return np.asarray(off > OLD_MPS + OLD_SHARE * np.linalg.norm(moved, axis=-1))
+
+
+def _calibrated_from(speed: Array, known: Bools, config: ImuOutageConfig) -> int:
+    """The epoch at which the car has driven for ``calibration_s``."""
+    driven = np.cumsum((speed > MOVING_MPS) & known) / config.rate_hz
+    if driven[-1] < config.calibration_s:
+        raise InputError(
+            f"the drive must move for {config.calibration_s:g} s of calibration, moves for {driven[-1]:.1f} s: "
+            "lower calibration_s"
+        )
+    return int(np.argmax(driven >= config.calibration_s))
+
+
+def _azimuth(force: Array, reference: Array) -> tuple[float, float]:
+    """Angle by which the sensor's x axis lies to the left of forward, and correlation; both (N, 2) forward, right."""
+    sensed, given = ((values - values.mean(0)) @ np.array([1.0, 1.0j]) for values in (force, reference))
+    product = complex(np.vdot(given, sensed))
+    scale = math.sqrt(float(np.vdot(given, given).real * np.vdot(sensed, sensed).real))
+    return math.atan2(product.imag, product.real), abs(product) / max(scale, 1e-9)
+
+
+def run_inertial_outages(motion: InertialMotion, config: ImuOutageConfig) -> OutageErrors:
+    """All outages that start after the calibration at more than 2 m/s and have a usable solution throughout.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    n, before = round(config.longest_s * config.rate_hz), round(config.settle_s * config.rate_hz)
+    step = max(round(config.every_s * config.rate_hz), 1)
+    starts = np.array([
+        s for s in range(max(motion.first, before), motion.time_s.size - n, step)
+        if motion.true_speed_mps[s] > MOVING_MPS and motion.known[s - before : s + n + 1].all()
+    ], dtype=np.int64)  # fmt: skip
+    if not starts.size:
+        raise InputError(
+            f"after the calibration the drive must have {config.settle_s + config.longest_s:g} s with a usable "
+            "solution (Q 1 or 2, no gaps), has none: lower longest_s or calibration_s"
+        )
+    estimated, heading, speed = np.zeros((starts.size, n, 2)), np.zeros((starts.size, n)), np.zeros((starts.size, n))
+    for i, s in enumerate(starts):
+        part = slice(s, s + n + 1)
+        reached = _speed(motion, s, n, before)
+        path = reckon(motion.time_s[part], reached, motion.yaw_rate_radps[part])
+        estimated[i] = motion.position_m[s] + turned(path.position_m[1:], float(motion.track_rad[s]))
+        heading[i], speed[i] = motion.track_rad[s] + path.heading_rad[1:], reached[1:]
+    off = estimated - motion.position_m[starts[:, None] + np.arange(1, n + 1)]
+    error = (track_from_enu_matrix(heading) @ off[..., None])[..., 0]
+    age = np.asarray((np.arange(n) + 1.0) / config.rate_hz, dtype=np.float64)
+    levels = _levels(speed, heading, age, config)
+    return OutageErrors(age, error, levels, motion.true_speed_mps[starts], np.zeros(starts.size), motion.time_s[starts])
+
+
+def _speed(motion: InertialMotion, s: int, n: int, before: int) -> Array:
+    """Speed by the accelerometer from epoch ``s`` to ``s + n`` (n + 1,) [m/s]."""
+    window = slice(s - before, s + n + 1)
+    time = motion.time_s[window]
+    felt = motion.force_mps2[window] - G_MPS2 * (motion.pitch_rad[window] - motion.pitch_rad[s])
+    gained = np.concatenate([[0.0], np.cumsum(0.5 * (felt[1:] + felt[:-1]) * np.diff(time))])
+    true = motion.true_speed_mps[window]
+    slope = (gained[before] - (true[before] - true[0])) / (time[before] - time[0])
+    return np.asarray(true[before] + gained[before:] - gained[before] - slope * (time[before:] - time[before]))
+
+
+def _levels(speed_mps: Array, heading_rad: Array, age_s: Array, config: ImuOutageConfig) -> Array:
+    """Levels (N, n, 2): those of a path of bounded speed and heading errors, and of the speed's growing error.
+
+    The speed's error is at most ``b t + g d t^2 / 2``, of either sign at any time; its parts along and across the
+    present heading add up with their magnitudes.
+    """
+    fix = np.broadcast_to(np.eye(2) * config.fix_sigma_m**2, (len(speed_mps), 2, 2))
+    sigma = np.full((len(speed_mps), 2), config.fix_sigma_m)
+    bridge = Bridge(config.bridge, config.risk, fix, np.zeros_like(sigma), sigma, heading_rad[:, 0])
+    dt, levels = 1.0 / config.rate_hz, np.zeros((*speed_mps.shape, 2))
+    drift = G_MPS2 * math.radians(config.pitch_drift_degps)
+    grown = (config.acceleration_bias_mps2 + 0.5 * drift * age_s) * age_s
+    for k in range(age_s.size):
+        turn = heading_rad[:, : k + 1] - heading_rad[:, k : k + 1]
+        box = np.abs(np.stack([np.cos(turn), np.sin(turn)], -1)) * grown[: k + 1, None]
+        levels[:, k] = bridge.step(dt, speed_mps[:, k], heading_rad[:, k])[0] + dt * box.sum(1)
+    return levels
