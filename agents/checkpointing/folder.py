@@ -38,6 +38,7 @@ MANIFEST, LOCK = "run.json", ".lock"
 FORMAT = 1
 PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "highway-env")
 SHOWN = 3  # names or values in a message
+_begun: list[ResultFolder] = []
 _held: set[Path] = set()  # folders that this process has locked
 
 
@@ -79,6 +80,8 @@ class ResultFolder:
             As :meth:`check`, or the folder cannot be written.
         """
         before, fixed = {} if anew else self.check().get("fixed", {}), self._fixed()
+        if not (self.path / MANIFEST).exists():
+            _begun.append(self)
         make_folder(self.path)
         for key in self.growing:
             fixed[key] = {**before.get(key, {}), **fixed[key]}
@@ -111,6 +114,12 @@ class ResultFolder:
         """Give a claimed folder back that holds no results, so that other work may claim it."""
         if set(_names_in(self.path)) <= {MANIFEST}:
             (self.path / MANIFEST).unlink(missing_ok=True)
+
+    @staticmethod
+    def release_begun() -> None:
+        """Release the folders that this process was the first to claim: a command that is refused leaves none."""
+        while _begun:
+            _begun.pop().release()
 
     def manifest(self) -> dict[str, Any]:
         """The manifest of a claimed folder.

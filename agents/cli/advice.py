@@ -49,6 +49,9 @@ class AdvisingGroup(TyperGroup):
 
             if not isinstance(error, InputError):
                 raise
+            folder = sys.modules.get("lanebound.agents.checkpointing.folder")
+            if folder is not None:
+                folder.ResultFolder.release_begun()
             _say(str(error))
             raise typer.Exit(2) from None
 

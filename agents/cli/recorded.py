@@ -166,16 +166,11 @@ def _solve(out: Path, kind: str, work: Callable[[Progress], T]) -> T:
     """The result of ``work``, which writes into a folder of its kind and reports the epochs that are solved."""
     from lanebound.agents.checkpointing.folder import ResultFolder
     from lanebound.agents.cli.progress import resumable, with_bar
-    from lanebound.integrity.core.errors import InputError
 
-    start, folder = time.time(), ResultFolder(out, kind)
-    folder.claim()
-    try:
-        with resumable(lambda: _written_text(out, start)):
-            return with_bar("epochs", lambda on_progress: work(_epochs(on_progress)))
-    except InputError:
-        folder.release()
-        raise
+    start = time.time()
+    ResultFolder(out, kind).claim()
+    with resumable(lambda: _written_text(out, start)):
+        return with_bar("epochs", lambda on_progress: work(_epochs(on_progress)))
 
 
 def _written_text(out: Path, start_s: float) -> str:

@@ -76,7 +76,7 @@ class ModeTables(NamedTuple):
     budgets: Array
 
 
-class Scratch(NamedTuple):
+class AraimScratch(NamedTuple):
     """Geometry, moments and modes of an epoch; rest: geometry without one system, its los (W, 3), group, variance, y
     and number of each satellite (W,)."""
 
@@ -97,7 +97,7 @@ def level_modes(first: int, last: int, epochs: AraimEpochs, tables: ModeTables, 
     n = epochs.group.shape[0]
     subsets = tables.pair.shape[0] + tables.system.shape[0] + tables.other.shape[0]
     w, bias = capacity(n), np.zeros(capacity(n))
-    x = Scratch(
+    x = AraimScratch(
         geometry_scratch(n), moment_scratch(n), mode_scratch(n, subsets), geometry_scratch(n), np.zeros((w, 3)),
         np.zeros(w, dtype=np.int64), np.zeros(w), np.zeros(w), np.zeros(w, dtype=np.int64),
     )  # fmt: skip
@@ -125,7 +125,7 @@ def level_modes(first: int, last: int, epochs: AraimEpochs, tables: ModeTables, 
 
 
 @jit
-def add_pairs(count: int, lost: float, group: Ints, n: int, tables: ModeTables, x: Scratch) -> tuple[int, float]:
+def add_pairs(count: int, lost: float, group: Ints, n: int, tables: ModeTables, x: AraimScratch) -> tuple[int, float]:
     """Add the modes of two satellites; the number of modes, and the prior of those without a solution."""
     geo, modes, removed = x.geo, x.modes, np.zeros(n, np.bool_)
     fix, row, lever, gain, variance, residual = geo.fix[0], geo.row, geo.lever, geo.gain, geo.variance, geo.residual
@@ -160,7 +160,14 @@ def add_pairs(count: int, lost: float, group: Ints, n: int, tables: ModeTables, 
 
 @jit
 def add_systems(
-    count: int, lost: float, los: Array, variance: Array, epochs: AraimEpochs, i: int, tables: ModeTables, x: Scratch
+    count: int,
+    lost: float,
+    los: Array,
+    variance: Array,
+    epochs: AraimEpochs,
+    i: int,
+    tables: ModeTables,
+    x: AraimScratch,
 ) -> tuple[int, float]:
     """Add the modes of a system, alone and with one more satellite, as downdates of the solution without it."""
     geo, rest, modes, n = x.geo, x.rest, x.modes, epochs.group.shape[0]

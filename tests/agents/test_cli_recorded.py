@@ -8,11 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from lanebound.agents.checkpointing.runner import RunProgress
-from lanebound.agents.cli import progress
+from lanebound.agents.cli import app, progress
 from lanebound.agents.cli.recorded import _limit_blas_threads, _solve, _written_text
-from lanebound.integrity.core.errors import InputError
 
 
 def test_linear_algebra_gets_one_thread_unless_the_user_says_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,13 +39,10 @@ def test_an_interrupt_names_what_is_written(tmp_path: Path) -> None:
 
 
 def test_a_refusal_leaves_a_folder_that_other_work_can_claim(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-
-    def refused(_: object) -> int:
-        raise InputError("wrong")
-
-    with pytest.raises(InputError, match="wrong"):
-        _solve(out, "replayed drive", refused)
+    out, data = tmp_path / "out", tmp_path / "data"
+    data.mkdir()
+    (data / "a_Input.txt").touch()
+    assert CliRunner().invoke(app, ["replay", str(data), "--out", str(out)]).exit_code == 2
     assert not list(out.iterdir())
     assert _solve(out, "drive on a service", lambda _: 1) == 1
 

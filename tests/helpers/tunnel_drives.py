@@ -49,7 +49,8 @@ def drive(
     arcs = np.cumsum(speeds) * DT_S
     cell_m, length_m = 10.0, arcs[-1] + 100.0
     path = np.zeros((int(length_m / cell_m) + 1, 1, 1), dtype=np.uint8)
-    path[int((arcs[round(open_s / DT_S) - 1] + 1e-9) / cell_m) :] = SignalPath.BLOCKED
+    if round(open_s / DT_S) <= len(arcs):
+        path[int((arcs[round(open_s / DT_S) - 1] + 1e-9) / cell_m) :] = SignalPath.BLOCKED
     mask = SkyMask(path, np.zeros(path.shape, dtype=np.float32), 1, 1, cell_m, length_m, False)
     track = SkyTrack.from_config(config.sky, DT_S * len(rate_radps) + 1.0)
     navigator = Navigator(config, track, mask, list(range(seed, seed + vehicles)), faults=faults)

@@ -238,3 +238,19 @@ def test_a_manifest_is_plain_json(tmp_path: Path) -> None:
     found = json.loads((tmp_path / MANIFEST).read_text(encoding="utf-8"))
     assert list(found) == ["format", "kind", "version", "source", "packages", "config", "fixed", "left_out"]
     assert {"Python", "numpy", "numba", "highway-env"} <= set(found["packages"])
+
+
+def test_a_refused_command_leaves_no_manifest(tmp_path: Path) -> None:
+    """The sky is refused after the folder was claimed; then other work may have the folder."""
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, ["assess", "bounding", "--in-the-loop", "--sky", "nope", "--out", str(out)])
+    assert (done.exit_code, "'nope' is unknown" in done.stderr) == (2, True)
+    assert not (out / MANIFEST).exists()
+    ResultFolder(out, "other work").claim()
+
+
+def test_results_survive_a_refusal(tmp_path: Path) -> None:
+    ResultFolder(tmp_path, "work").claim()
+    (tmp_path / "part.json").touch()
+    ResultFolder.release_begun()
+    assert (tmp_path / MANIFEST).exists()
