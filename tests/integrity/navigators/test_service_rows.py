@@ -41,7 +41,7 @@ def _variance(declared: float, age: float) -> float:
     inputs = Of(code=np.ones((1, 1, 2)), phase=np.ones((1, 1, 2)), satellite=one, zenith=one, declared=np.array([0.5]),
                 zenith_declared=declared, age=[0.0], zenith_age=[age])  # fmt: skip
     hatch = np.zeros((1, 1), [("count", "f8"), ("free", "f8")])
-    ranges = Of(y=one.copy(), variance=one.copy(), odds=one.copy(), used=np.array([[False]]))
+    ranges = Of(y=one.copy(), variance=one.copy(), fast=one.copy(), odds=one.copy(), used=np.array([[False]]))
     carrier = Of(rules=[Of(zenith=False)])
     fill = getattr(code_kernel.fill_vehicle, "py_func", code_kernel.fill_vehicle)
     assert fill(0, epoch, service, inputs, Of(hatch=hatch), ranges, carrier) == 1
