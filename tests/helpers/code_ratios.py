@@ -42,8 +42,8 @@ def service_solutions(
     found: dict[str, Any] = {}
     original = stage.find_fix
 
-    def keep(first, last, epoch, tables, ranges):
-        original(first, last, epoch, tables, ranges)
+    def keep(first, last, epoch, tables, inputs, ranges):
+        original(first, last, epoch, tables, inputs, ranges)
         found.update(ranges=ranges, los=epoch.measured.los[epoch.measured.sight], system=tables.tables.system)
 
     monkeypatch.setattr(stage, "find_fix", keep)
