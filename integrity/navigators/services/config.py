@@ -10,6 +10,7 @@ from pydantic import field_validator, model_validator
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.navigators.services.records_kernel import LEAST_WEIGHT
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.positioning.config import CODE_DOUBT, DoubtConfig
 from lanebound.integrity.sky.systems import System
@@ -17,7 +18,6 @@ from lanebound.integrity.sky.systems import System
 __all__ = ["CodeServiceConfig", "CouplingConfig", "DeclaredBarometerConfig", "ServicesConfig"]
 
 GRAVITY = 9.81
-LEAST_WEIGHT = 1.0 / 32.0  # of a position in a mean with the one reckoned on
 
 ALL_SYSTEMS = tuple(System.__members__)
 NO_PRIOR = (0.0, 0.0, 0.0, 0.0, 0.0)

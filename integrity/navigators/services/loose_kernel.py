@@ -25,7 +25,6 @@ from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
 )
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import reference_point
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
-from lanebound.integrity.navigators.services.config import LEAST_WEIGHT
 from lanebound.integrity.navigators.services.coupling_kernel import (
     begin_from,
     cost_of,
@@ -35,7 +34,12 @@ from lanebound.integrity.navigators.services.coupling_kernel import (
 )
 from lanebound.integrity.navigators.services.coupling_records_kernel import Coupling, Part
 from lanebound.integrity.navigators.services.fix_kernel import is_lower, offer, position_of
-from lanebound.integrity.navigators.services.records_kernel import ServiceInputs, ServiceRows, ServiceTables
+from lanebound.integrity.navigators.services.records_kernel import (
+    LEAST_WEIGHT,
+    ServiceInputs,
+    ServiceRows,
+    ServiceTables,
+)
 from lanebound.integrity.navigators.services.tight_kernel import couple_ranges, offer_coupled
 
 __all__ = ["couple_fix"]
