@@ -20,7 +20,8 @@ def _budget() -> np.record:
     """Code 1 m, ionosphere growing by 0.01 m^2/s, troposphere 0.2 m."""
     return one_record(
         CODE_ERRORS, noise=1.0, multipath=0.0, phase=0.1, knee=35.0, moving_tau=10.0, rest_tau=300.0, satellite=0.0,
-        satellite_growth=0.0, iono=0.0, iono_common=0.8, iono_growth=0.01, tropo=0.2,
+        satellite_growth=0.0, iono=0.0, iono_common=0.8, iono_growth=0.01, iono_rate=0.0,
+        length=20.0, tropo=0.2,
     ).view(np.recarray)[0]  # fmt: skip
 
 
@@ -40,7 +41,7 @@ def _variance(declared: float, age: float) -> float:
     inputs = Of(code=np.ones((1, 1, 2)), phase=np.ones((1, 1, 2)), satellite=one, zenith=one, declared=np.array([0.5]),
                 zenith_declared=declared, age=[0.0], zenith_age=[age])  # fmt: skip
     hatch = np.zeros((1, 1), [("count", "f8"), ("free", "f8")])
-    ranges = Of(y=one.copy(), variance=one.copy(), odds=one.copy(), used=np.array([[False]]))
+    ranges = Of(y=one.copy(), variance=one.copy(), fast=one.copy(), odds=one.copy(), used=np.array([[False]]))
     carrier = Of(rules=[Of(zenith=False)])
     fill = getattr(code_kernel.fill_vehicle, "py_func", code_kernel.fill_vehicle)
     assert fill(0, epoch, service, inputs, Of(hatch=hatch), ranges, carrier) == 1
