@@ -10,7 +10,7 @@ from pydantic import field_validator, model_validator
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.navigators.services.coupling_records_kernel import LEAST_WEIGHT
+from lanebound.integrity.navigators.services.records_kernel import LEAST_WEIGHT
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.positioning.config import CODE_DOUBT, DoubtConfig
 from lanebound.integrity.sky.systems import System

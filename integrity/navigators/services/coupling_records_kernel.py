@@ -10,21 +10,10 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.monitoring.doppler_separation_kernel import Separations
 
-__all__ = [
-    "COUPLED",
-    "COUPLING_RULES",
-    "EXTRA",
-    "LEAST_WEIGHT",
-    "NO_PROPOSAL",
-    "WHOLE",
-    "WITH_RECKONED",
-    "Coupling",
-    "Part",
-]
+__all__ = ["COUPLED", "COUPLING_RULES", "EXTRA", "NO_PROPOSAL", "WHOLE", "WITH_RECKONED", "Coupling", "Part"]
 
 Array = NDArray[np.float64]
 
-LEAST_WEIGHT = 1.0 / 32.0  # of a position in a mean with the one reckoned on
 NO_PROPOSAL, WHOLE, WITH_RECKONED = 0, 1, 2  # what is offered: nothing, the position of a service, a coupled position
 
 COUPLING_RULES = record(

@@ -32,9 +32,14 @@ from lanebound.integrity.navigators.services.coupling_kernel import (
     propose,
     propose_whole,
 )
-from lanebound.integrity.navigators.services.coupling_records_kernel import LEAST_WEIGHT, Coupling, Part
+from lanebound.integrity.navigators.services.coupling_records_kernel import Coupling, Part
 from lanebound.integrity.navigators.services.fix_kernel import is_lower, offer, position_of
-from lanebound.integrity.navigators.services.records_kernel import ServiceInputs, ServiceRows, ServiceTables
+from lanebound.integrity.navigators.services.records_kernel import (
+    LEAST_WEIGHT,
+    ServiceInputs,
+    ServiceRows,
+    ServiceTables,
+)
 from lanebound.integrity.navigators.services.tight_kernel import couple_ranges, offer_coupled
 
 __all__ = ["couple_fix"]

@@ -12,6 +12,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Tables
 from lanebound.integrity.positioning.code_errors_kernel import CODE_ERRORS
 
 __all__ = [
+    "LEAST_WEIGHT",
     "SERVICE_RULES",
     "ServiceInputs",
     "ServiceLabels",
@@ -21,6 +22,8 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+LEAST_WEIGHT = 1.0 / 32.0  # of a position in a mean with the one reckoned on
 
 SERVICE_RULES = record(
     mode=("i8", "code of its Mode"),
