@@ -95,7 +95,7 @@ def test_the_position_that_the_vehicle_uses_is_judged() -> None:
     """Its levels and tests are those of the first phase, and the matched position is its own."""
     risk = {"integrity_risk": 1e-3}
     quiet, limit = {"false_alarm": 1e-3, "satellite_prior": 1e-4}, LIMIT_M
-    plain = {"kind": "monitored_codes", "dt_s": DT, "risk": risk, "monitor": quiet}
+    plain = {"kind": "monitored_codes", "dt_s": DT, "risk": risk, "monitor": {"kind": "separation_fde", **quiet}}
     config = NavigatorConfig.load({**plain, "context": {"position": {"alert_limit_m": limit}}})
     navigator = Navigator(config, SkyTrack.from_config(config.sky, 120.0), SkyMask.open(), [1, 2])
     navigator.use_map(cross())

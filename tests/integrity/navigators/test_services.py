@@ -217,4 +217,4 @@ def test_long_smoothing_on_one_frequency_is_refused():
 
 def test_a_drift_watch_whose_alarms_do_nothing_is_refused():
     with pytest.raises(ConfigError, match=r"jump_quarantine_s must be larger than 0 with the drift watch, got 0"):
-        NavigatorConfig.load({"positioning": {"rtk": {"jump_quarantine_s": 0.0}}})
+        NavigatorConfig.load({"positioning": {"rtk": {"jump_quarantine_s": 0.0, "drift": {"window_s": 16.0}}}})

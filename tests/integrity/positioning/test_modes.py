@@ -41,14 +41,14 @@ def test_a_mode_from_outside_takes_the_next_code_until_it_is_withdrawn() -> None
 
 def test_a_reason_from_outside_takes_the_next_code_until_it_is_withdrawn() -> None:
     reason = AlertReason.register("map_changed", "the map does not fit; drive by sight")
-    assert (reason.code, reason.name, reason.value) == (10, "MAP_CHANGED", "the map does not fit; drive by sight")
-    assert AlertReason.MAP_CHANGED is AlertReason["MAP_CHANGED"] is AlertReason.from_code(10) is reason  # type: ignore[attr-defined]
+    assert (reason.code, reason.name, reason.value) == (11, "MAP_CHANGED", "the map does not fit; drive by sight")
+    assert AlertReason.MAP_CHANGED is AlertReason["MAP_CHANGED"] is AlertReason.from_code(11) is reason  # type: ignore[attr-defined]
     assert pickle.loads(pickle.dumps(reason)) is copy.deepcopy(reason) is reason
-    assert AlertReason.count([10, 0, 10])["map_changed"] == 2
+    assert AlertReason.count([11, 0, 11])["map_changed"] == 2
     with pytest.raises(InputError, match="advice of AlertReason MAP_CHANGED must be"):
         AlertReason.register("map_changed", "another")
     with pytest.raises(InputError, match="name must be that of the last AlertReason, got 'HOLDING'"):
         AlertReason.withdraw("HOLDING")
     AlertReason.withdraw("map_changed")
     with pytest.raises(InputError, match="AlertReason code must be one of"):
-        AlertReason.from_code(10)
+        AlertReason.from_code(11)

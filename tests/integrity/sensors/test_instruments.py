@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
-from lanebound.integrity.sensors import corrections as links
+from lanebound.integrity.sensors import corrections_kernel as links_kernel
 from lanebound.integrity.sensors.area import advance_area
+from lanebound.integrity.sensors.corrections import link_parameters
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sensors.gnss import observe
 from lanebound.integrity.sensors.imu import sample_imu
@@ -57,16 +59,27 @@ def _one_by_one(navigator: Navigator, truth: Truth) -> Measurements:
     sky = navigator.track.at(navigator.track.start_s + truth.time_s, np.zeros(batch, dtype=np.int64))
     effects = navigator.faults.effects(truth.time_s, truth.dt_s, sky, batch)
     advance_area(c.gnss, c.corrections, s.area, truth.time_s, truth.dt_s)
-    age = links.step(
-        c.corrections, s.corrections, s.area.network, s.area.signals.message, truth.dt_s, effects.corrections_lost,
-        s.streams,
-    )  # fmt: skip
+    age = _link_ages(navigator, truth.dt_s, effects.corrections_lost)
     reception = navigator.mask.look(truth.arc_m, truth.lane, sky)
     gnss = observe(c.gnss, s.gnss, sky, reception, truth, age, s.corrections.held, effects, s.streams, s.area.signals)
     imu = sample_imu(c.imu, s.imu, truth, effects, s.streams)
     return Measurements(
         truth.time_s, sky, gnss, imu, sample_odometer(c.odometer, s.odometer, truth, effects, s.streams)
     )
+
+
+def _link_ages(navigator: Navigator, dt_s: float, lost: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Ages of the newest reference data, (B,) [s]; the links advance by an epoch."""
+    c, s = navigator.config.corrections, navigator.state
+    u = z = np.empty((0, 1))
+    if c.outage_per_h > 0.0:
+        u, z = s.streams.uniform("corrections", 1), s.streams.normal("corrections", 1)
+    network, held = s.area.network, s.corrections
+    sent = s.area.signals.message
+    rows = links_kernel.LinkRows(link_parameters(c, dt_s), network.rows, sent, held.links, held.held, u, z)
+    age = np.empty(navigator.batch)
+    links_kernel.advance(0, navigator.batch, network.epoch, rows, lost, age)
+    return age
 
 
 def _truth(k: int, batch: int) -> Truth:
