@@ -136,7 +136,7 @@ def opening(results: Results) -> list[str]:
         )
     if known:
         named = ", ".join(f"{agent} ({harm:.1f} at {throughput:.1f} m/s)" for (harm, throughput), agent in known)
-        lines.append(f"Least harm: {named}.")
+        lines.append(f"Least harm of the others: {named}.")
     return [*lines, *conclusions(results)]
 
 

@@ -87,15 +87,8 @@ def replay(
     if len(given) > 1:
         raise InputError(f"one of {', '.join(methods)} may be given, got {' and '.join(given)}: leave out the others")
     names = [name.strip() for name in service.split(",")] if service is not None else []
-    kind = (
-        "context monitor"
-        if context
-        else "drive on a service"
-        if names
-        else "RTK solution"
-        if kind_of(dataset) == "rinex"
-        else "replayed drive"
-    )
+    kind = "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
+    kind = "context monitor" if context else "drive on a service" if names else kind
     found, written = _solve(
         out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, names, navigator, context)
     )

@@ -179,16 +179,11 @@ def _levels(c: ObservationConfig) -> list[Entry]:
         g.positive("excluded", "", c.excluded_max, "number of satellites excluded by fault detection in this epoch",
                    "belief.excluded"),
         g.positive("hdop", "", c.hdop_max, "horizontal dilution of precision; 1 without satellites", "belief.hdop"),
-        *(_speed_geometry(c, g) if c.speed_geometry else ()),
+        *([g.positive("sdop", "", c.sdop_max, "speed dilution of precision of the Doppler velocity; 1 without one",
+                      "belief.sdop")] if c.speed_geometry else []),
         *(_context(g) if c.context else ()),
         *(_filters(c, g) if c.filters else ()),
     ]  # fmt: skip
-
-
-def _speed_geometry(c: ObservationConfig, g: _Group) -> list[Entry]:
-    """How well the Doppler speed is determined, and whether that is within its limit."""
-    about = "speed dilution of precision of the Doppler velocity; 1 without one"
-    return [g.positive("sdop", "", c.sdop_max, about, "belief.sdop")]
 
 
 def _context(g: _Group) -> list[Entry]:

@@ -165,7 +165,7 @@ class ContextGuard:
 
 
 def judged_position(solution: Solution, alert_limit_m: float, radial: bool = False) -> PositionTest:
-    """The first phase by what the navigator says: its levels against the alert limit, and its own tests.
+    """The first phase by the levels of the navigator against the alert limit, and by its own tests.
 
     ``sqrt(PL_AT^2 + PL_CT^2)`` bounds the horizontal error at the navigator's risk, which both axes share. With
     ``radial`` either of them does.

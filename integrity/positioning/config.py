@@ -120,7 +120,7 @@ class DriftWatchConfig(Config):
         0.0,
         ge=0,
         description="longest window over which RTK is compared with the path by gyro and odometer [s]; 0: off, 16 when "
-        "in use; a fault of gyro or odometer cannot be told from a drift, and is likelier",
+        "in use; a fault of gyro or odometer looks the same as a drift, and is likelier",
     )
     windows: int = Field(16, ge=2, le=64, description="windows of different lengths that are compared at once [-]")
     false_alarms_per_h: float = Field(

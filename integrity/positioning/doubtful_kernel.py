@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 
-__all__ = ["DOUBT_RULES", "LARGEST_SET", "find_doubts", "find_sets", "keep_trusted"]
+__all__ = ["DOUBT_RULES", "LARGEST_SET", "find_doubts", "find_sets", "keep_trusted", "odds_of"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -41,13 +41,18 @@ DOUBT_RULES = record(
 
 
 @jit(borrows=True)
+def odds_of(rules: Any, sine: float, cn0: float) -> float:
+    """Odds that a signal is off [-], by the sine of its elevation and its C/N0 [dB-Hz]."""
+    loss = rules.horizon + (rules.zenith - rules.horizon) * sine - cn0
+    return float(rules.most / (1.0 + math.exp((rules.centre - loss) / rules.scale)))
+
+
+@jit(borrows=True)
 def find_doubts(los: Array, cn0: Array, tracked: Bools, satellites: Records, rules: Any, ambiguities: Records) -> None:
     """Set the odds of the satellites that are tracked; those of held integers only grow."""
     for s in range(tracked.shape[0]):
         if tracked[s]:
-            open_sky = rules.horizon + (rules.zenith - rules.horizon) * los[s, 2]
-            odds = rules.most / (1.0 + math.exp((rules.centre - (open_sky - cn0[s])) / rules.scale))
-            odds += satellites[s].prior
+            odds = odds_of(rules, los[s, 2], cn0[s]) + satellites[s].prior
             ambiguity = ambiguities[s]
             ambiguity.odds = max(ambiguity.odds, odds) if ambiguity.held else odds
 

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 
 __all__ = ["BarometerConfig", "BarometerSample", "BarometerState", "initial_barometer", "sample_barometer"]
 
 Array = NDArray[np.float64]
-
-GRAVITY = 9.81
 
 
 class BarometerConfig(Config):
@@ -82,5 +81,5 @@ def sample_barometer(config: BarometerConfig, state: BarometerState, truth: Trut
     state.weather_m *= a
     state.weather_m += config.weather_m * np.sqrt(1.0 - a * a) * z[:, 0]
     square = np.square(truth.velocity_enu_mps[:, :2]).sum(-1)
-    height = truth.position_enu_m[:, 2] + state.offset_m + state.weather_m + state.wind * square / (2.0 * GRAVITY)
+    height = truth.position_enu_m[:, 2] + state.offset_m + state.weather_m + state.wind * square / (2.0 * GRAVITY_MPS2)
     return BarometerSample(height + config.noise_m * z[:, 1])

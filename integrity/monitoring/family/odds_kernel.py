@@ -25,7 +25,7 @@ from lanebound.integrity.monitoring.separation_kernel import (
     set_factors,
     set_priors,
 )
-from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET
+from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, odds_of
 from lanebound.integrity.positioning.geometry_kernel import SOLVED, capacity, find_geometry, geometry_scratch, solve
 
 __all__ = ["DoubtedCodes", "OddsTables", "find_odds", "level_codes", "trust_codes"]
@@ -62,8 +62,7 @@ def find_odds(first: int, last: int, sine: Array, cn0: Array, prior: float, doub
     """Odds of codes (n,) by the sine of the elevation and C/N0 [dB-Hz], beside the prior of all other faults."""
     rules = doubt[0]
     for k in range(first, last):
-        loss = rules.horizon + (rules.zenith - rules.horizon) * sine[k] - cn0[k]
-        odds[k] = prior + rules.most / (1.0 + math.exp((rules.centre - loss) / rules.scale))
+        odds[k] = prior + odds_of(rules, sine[k], cn0[k])
 
 
 @jit

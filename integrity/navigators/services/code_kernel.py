@@ -36,6 +36,7 @@ from lanebound.integrity.positioning.code_errors_kernel import (
     troposphere_slant,
     troposphere_variance,
 )
+from lanebound.integrity.positioning.doubtful_kernel import odds_of
 from lanebound.integrity.positioning.rtk_kernel import UNUSED
 from lanebound.integrity.positioning.smoothing_kernel import slips, smooth
 
@@ -88,8 +89,7 @@ def fill_vehicle(
             hatch.count, hatch.free = 0.0, 0.0
             continue
         sine, cn0 = los[s, 2], measured.cn0[v, s]
-        loss = doubt.horizon + (doubt.zenith - doubt.horizon) * sine - cn0
-        odds = doubt.most / (1.0 + math.exp((doubt.centre - loss) / doubt.scale))
+        odds = odds_of(doubt, sine, cn0)
         code, phase, there, locked = combine(inputs.code[v, s], inputs.phase[v, s], service.share[s])
         noise = budget.phase * math.sqrt(quality[s])
         locked = locked and not measured.lock_lost[v, s] and odds < doubt.single

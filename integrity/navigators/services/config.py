@@ -10,6 +10,7 @@ from pydantic import field_validator, model_validator
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.navigators.services.records_kernel import LEAST_WEIGHT
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.positioning.config import CODE_DOUBT, DoubtConfig
@@ -17,7 +18,6 @@ from lanebound.integrity.sky.systems import System
 
 __all__ = ["CodeServiceConfig", "CouplingConfig", "DeclaredBarometerConfig", "ServicesConfig"]
 
-GRAVITY = 9.81
 
 ALL_SYSTEMS = tuple(System.__members__)
 NO_PRIOR = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -92,7 +92,7 @@ class DeclaredBarometerConfig(Config):
 
     def variance_m2(self, time_s: float, speed_mps: NDArray[np.float64]) -> NDArray[np.float64]:
         """Variance of the height ``time_s`` after the calibration at these speeds (B,)."""
-        wind = self.wind * np.square(speed_mps) / (2.0 * GRAVITY)
+        wind = self.wind * np.square(speed_mps) / (2.0 * GRAVITY_MPS2)
         return np.asarray(self.offset_m**2 + self.weather_m2ps * time_s + self.noise_m**2 + np.square(wind))
 
 
@@ -118,7 +118,7 @@ class CouplingConfig(Config):
     )
 
     def memory(self, interval_s: float) -> float:
-        """Factor on the probability of such faults, as the mean remembers three time constants of its least weight."""
+        """Factor on the probability of such faults, for a mean over three time constants of its least weight."""
         return 1.0 + 3.0 * interval_s / (LEAST_WEIGHT * self.fault_time_s)
 
 

@@ -56,8 +56,8 @@ def coupling_rules(coupling: CouplingConfig, declared: CodeServiceConfig, dt_s: 
 def coupling_parameters(parameters: Records, cases: Records, rules: Records) -> Records:
     """PARAMETERS (1,) of a service, with doubt that leaves fewer sets of doubtful codes to no mode.
 
-    A mean remembers what no mode covers for longer than it stays: ``memory`` times its probability counts, and may be
-    half of the risk (:func:`~.coupling_kernel.fault_bound`).
+    A fault that no mode covers has a weight in the mean for longer than it lasts: ``memory`` times its probability
+    counts, and may be half of the risk (:func:`~.coupling_kernel.fault_bound`).
     """
     own = parameters.copy()
     own["rtk"]["doubt"]["sets"] = np.where(own["rtk"]["doubt"]["sets"] > 0, MOST_SETS, 0)

@@ -9,7 +9,7 @@ its own, which stay Gauss-Markov and separated by fault mode: A acts on all of t
   below ``exp(-t / tau)``, has no eigenvalue above ``1 + 2 tau / dt``: a white error of that much more variance bounds
   them under any weights. The smaller one counts.
 - slow (satellites, atmosphere, height): whatever the correlation.
-- faults f of satellites and systems in any of the epochs that the position remembers. Mode i of prior p_i moves the
+- faults f of satellites and systems in any epoch whose ranges are in the position. Mode i of prior p_i moves the
   position of one epoch by ``F_i`` with ``abs(F_i) <= abs(d_i) + abs(N)``, d_i the separation that is observed and N
   normal of its variance, so that ``Y = abs(F) - X`` with ``X = max_i (abs(d_i) + K_i sigma_di)`` has
   ``E[Y+] <= sum_i p_i sigma_di 2 (phi(K_i) - K_i Q(K_i)) = r D``. With weights w of a sum of at most 1, Markov's
@@ -48,7 +48,17 @@ from lanebound.integrity.navigators.services.coupling_records_kernel import (
 )
 from lanebound.integrity.positioning.codes_kernel import DOPPLER
 
-__all__ = ["begin_coupling", "cost_of", "fault_bound", "lengthen", "propose", "propose_whole", "settle", "transform"]
+__all__ = [
+    "begin_coupling",
+    "cost_of",
+    "fault_bound",
+    "lengthen",
+    "on_axis",
+    "propose",
+    "propose_whole",
+    "settle",
+    "transform",
+]
 
 Array = NDArray[np.float64]
 
@@ -283,7 +293,7 @@ def between_axes(a: Array, old: Any, new: Any, m: Array) -> None:
 
 @jit
 def transform(a: Array, g: Any, s: Separations) -> None:
-    """A on all that dead reckoning says of the errors of the position, but its covariance; a (2, 2)."""
+    """Apply A (2, 2) to all parts of the position error in dead reckoning but its covariance."""
     xx, xy, yx, yy = a[0, 0], a[0, 1], a[1, 0], a[1, 1]
     size = math.sqrt(xx * xx + xy * xy + yx * yx + yy * yy) if xy != 0.0 or yx != 0.0 or xx != yy else abs(xx)
     g.ne_e, g.nn_e = xx * g.ne_e + xy * g.nn_e, yx * g.ne_e + yy * g.nn_e

@@ -20,7 +20,6 @@ __all__ = ["require_fitting_services"]
 LONGEST_COUPLED_S = 300.0
 LARGEST_SHARE = 0.9
 BAND_NAMES = ("L1", "L2", "L5")
-LONGEST_S = 100.0  # smoothing on one frequency; the ionosphere parts code and carrier in it, DO-229D appendix J
 
 
 def require_fitting_services(config: RtkReckoningConfig) -> None:
@@ -44,7 +43,6 @@ def require_fitting_services(config: RtkReckoningConfig) -> None:
             continue
         _require_coupling(config, service)
         _require_bands(config, service)
-        _require_short_smoothing(config, service)
         _require_systems(config, service)
         if service.provider is not None:
             _require_messages(config, service, getattr(config.gnss.augmentation, service.provider))
@@ -78,16 +76,6 @@ def _require_bands(config: RtkReckoningConfig, service: Service) -> None:
         raise ConfigError(
             f"gnss.bands must have {wanted} as its second band for the service {service.name}, got {bands}: {remedy}, "
             f"or take the preset of the service"
-        )
-
-
-def _require_short_smoothing(config: RtkReckoningConfig, service: Service) -> None:
-    """On one frequency the smoothed code lags behind the ionosphere, by more than its variance states."""
-    smoothing = declared_of(config, service).smoothing_s
-    if not service.combined and smoothing > LONGEST_S:
-        raise ConfigError(
-            f"services.{service.name}.smoothing_s must be at most {LONGEST_S:g} s on one frequency, got {smoothing:g}: "
-            "its variance has no divergence of the ionosphere; shorten it, or take a service of combined bands"
         )
 
 

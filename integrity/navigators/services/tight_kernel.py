@@ -22,7 +22,7 @@ from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_uppe
 from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import lever_bounds
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Epoch
-from lanebound.integrity.navigators.services.coupling_kernel import cost_of, fault_bound, propose
+from lanebound.integrity.navigators.services.coupling_kernel import cost_of, fault_bound, on_axis, propose
 from lanebound.integrity.navigators.services.coupling_records_kernel import Coupling, Part
 from lanebound.integrity.navigators.services.records_kernel import ServiceInputs, ServiceRows, ServiceTables
 from lanebound.integrity.positioning.codes_kernel import NO_CORRECTIONS
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-FREE_HEIGHT_M2 = 1e8  # variance of a height that nothing tells
+FREE_HEIGHT_M2 = 1e8  # variance of a height without an observation
 
 
 class Aided(NamedTuple):
@@ -93,8 +93,8 @@ def offer_coupled(
     fixed, g, w = epoch.work.vehicles[v].fixed, coupling.growth[v], epoch.work.vehicles[v]
     fixed.p_ee, fixed.p_en, fixed.p_nn = g.p_ee, g.p_en, g.p_nn
     s, c = w.sin_h, w.cos_h
-    fixed.sigma[0] = math.sqrt(max(s * s * g.p_ee + 2.0 * s * c * g.p_en + c * c * g.p_nn, 0.0))
-    fixed.sigma[1] = math.sqrt(max(c * c * g.p_ee - 2.0 * s * c * g.p_en + s * s * g.p_nn, 0.0))
+    fixed.sigma[0] = math.sqrt(on_axis(g.p_ee, g.p_en, g.p_nn, s, c))
+    fixed.sigma[1] = math.sqrt(on_axis(g.p_ee, g.p_en, g.p_nn, c, -s))
     fixed.satellites, fixed.excluded, fixed.hdop, fixed.usable = satellites, ranges.excluded[v], hdop, True
     fixed.status, fixed.coded, fixed.lasting, fixed.wrong, fixed.turned = NO_CORRECTIONS, False, False, 0.0, True
     ranges.offered[v] = service.rules[0].mode

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts_kernel import INITIALISING, NONE, TEST_FAILED, alert_step
 from lanebound.integrity.navigators.vehicle_filter.levels_kernel import (
@@ -179,7 +180,7 @@ def _report(par: Any, filters: Filters, v: int, outcome: int, s: Scratch) -> Non
     """Position, levels, alert; where no pose is known, the code position without levels."""
     state, fix, out, vehicle = filters.state, filters.fix, filters.out, filters.state.vehicles[v]
     combine(state.x[v], state.p[v], state.probability[v], s.mean, s.covariance, STATES)
-    mean, covariance, heading = s.mean, s.covariance, _wrapped(s.mean[HEADING])
+    mean, covariance, heading = s.mean, s.covariance, wrap(s.mean[HEADING])
     trust = HTL_SIGMAS * major_axis(covariance[0, 0], covariance[1, 1], covariance[0, 1])
     find_levels(filters.cases, par.bounds, state, v, mean, heading, trust, out.levels[v])
     _widen(par, filters.cases, vehicle, out.levels[v])
@@ -254,8 +255,3 @@ def _covariance(state: FilterState, v: int, covariance: Array, out: Array) -> No
         out[0, 1] += east * north
         out[1, 0] += east * north
         out[1, 1] += north * north
-
-
-@jit
-def _wrapped(angle: float) -> float:
-    return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))

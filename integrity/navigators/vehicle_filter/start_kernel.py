@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.navigators.vehicle_filter.position_kernel import (
     LOST,
     REJECTED,
@@ -96,8 +97,7 @@ def _try_course(par: Any, state: FilterState, v: int, measured: MeasuredMotion, 
     if bound > WIDEST_RAD * speed:
         return
     turned = math.atan2(fix.velocity[v, 0], fix.velocity[v, 1]) - vehicle.turned
-    apart = turned - trial.turned
-    apart -= 2.0 * math.pi * math.floor((apart + math.pi) / (2.0 * math.pi))
+    apart = wrap(turned - trial.turned)
     if abs(speed - odometer) > bound + par.wheel_bound * odometer:
         trial.count = 0
     elif trial.count == 0 or abs(apart) > bound / speed + COURSE_RAD:
@@ -146,7 +146,7 @@ def begin_at(state: FilterState, v: int, position: Array, covariance: Array) -> 
 
 @jit
 def _share_constant_error(state: FilterState, v: int) -> None:
-    """The position that a vehicle begins with has the constant error of GNSS positions, a told one has not."""
+    """The position that a vehicle begins with has the constant error of GNSS positions; a given pose has none."""
     for j in range(state.x.shape[1]):
         state.influence[v, j, EAST, GNSS_EAST_BIAS] = state.influence[v, j, NORTH, GNSS_NORTH_BIAS] = 1.0
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
 
 __all__ = ["MOST", "UNTESTED", "Models", "Vector", "best_nis", "clear", "observe", "vector_of"]
@@ -118,7 +119,7 @@ def _innovate(models: Models, v: Vector, j: int, size: int, noise: Array, angula
                     v.ph[i, a] += h * p[k, i]
         nu = v.z[a] - expected
         if angular:
-            nu -= 2.0 * math.pi * math.floor((nu + math.pi) / (2.0 * math.pi))
+            nu = wrap(nu)
         v.residual[a] = nu
     for a in range(size):
         for b in range(a + 1):

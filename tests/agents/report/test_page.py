@@ -119,11 +119,15 @@ def test_what_was_never_seen_has_no_interval_and_leaves_nobody_the_best():
 
 def test_the_page_opens_with_harm_beside_throughput_in_three_sentences():
     page = Page(render(made_up_results(seeds={"count": 8})))
-    first = [text for text in page.words["p"] if "reference" in text or "Least harm" in text or "no agent" in text]
+    first = [
+        text
+        for text in page.words["p"]
+        if "reference" in text or "Least harm of the others" in text or "no agent" in text
+    ]
     assert re.match(
         r"nominal, the reference, drives at [\d.]+ m/s with a harm of [\d.]+ an episode \(means of 4", first[0]
     )
-    assert re.match(r"Least harm: integrity_aware \([\d.]+ at [\d.]+ m/s\)\.", first[1])
+    assert re.match(r"Least harm of the others: integrity_aware \([\d.]+ at [\d.]+ m/s\)\.", first[1])
     assert first[2].startswith("With 8 seeds no agent can be called safer than nominal")
     options = [(a["value"]) for a in page.all("option")]
     assert options[:2] == ["harm", "throughput"]

@@ -208,13 +208,6 @@ def test_what_cannot_be_is_refused() -> None:
     assert plain.receiver is plain.gnss  # nothing more is simulated
 
 
-def test_long_smoothing_on_one_frequency_is_refused():
-    with pytest.raises(
-        ConfigError, match=r"services\.spp\.smoothing_s must be at most 100 s on one frequency, got 600"
-    ):
-        NavigatorConfig.load({"service": ["spp"], "services": {"spp": {"smoothing_s": 600.0}}})
-
-
 def test_a_drift_watch_whose_alarms_do_nothing_is_refused():
     with pytest.raises(ConfigError, match=r"jump_quarantine_s must be larger than 0 with the drift watch, got 0"):
         NavigatorConfig.load({"positioning": {"rtk": {"jump_quarantine_s": 0.0, "drift": {"window_s": 16.0}}}})
