@@ -66,7 +66,8 @@ def filters(
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
     from lanebound.agents.reproduce.filter_faults import fault_rows
-    from lanebound.agents.reproduce.filters import FiltersConfig, run_filters, table_rows
+    from lanebound.agents.reproduce.filter_law import law_rows
+    from lanebound.agents.reproduce.filters import FiltersConfig, run_filters, sharp_rows, table_rows
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         config = FiltersConfig.load(changes(assignments, seeds=seeds))
@@ -76,6 +77,11 @@ def filters(
         return
     heads = "trial", "figure", "paper", "ours", "5 .. 95 %"
     print_table(f"S4 against ours: medians over {result['seeds']} drives [m]", heads, table_rows(result))
+    if result["sharp"]:
+        sensors = "sensors", "largest, IMM-EKF", "largest, SM-EKF", "RMS gained by IMM", "HTL"
+        print_table("Scenario 10 with better sensors [m]; S4: below 3, -, 0.48, -", sensors, sharp_rows(result))
+    log = "static log", "S4", "ours", "5 .. 95 %"
+    print_table("Warm-up error of accelerometers: the fit of logs made by S4's law", log, law_rows(result["law"]))
     if result["faults"]:
         print_table("Spurious positions: with S4's gate and without", *fault_rows(result))
     typer.echo(f"tables.json and figures: {out}")
@@ -155,6 +161,7 @@ def context(
         return
     print_table("Overall correct detection rate; medians over drives, 5 to 95 %", *made.ocdr_rows(tables))
     print_table("By what the receiver uses and declares", *made.assumption_rows(tables))
+    print_table("Each phase over the points that reach it, drives together", *made.stage_rows(tables))
     print_table("Why the driver is warned, shares of all points", *made.reason_rows(tables))
     print_table("What each phase adds, and naive rules", *made.rule_rows(tables))
     print_table("Matchers, with the true map and with one that has errors", *made.matcher_rows(tables))

@@ -275,9 +275,9 @@ def _judged(
     get = partial(s.of_found, key, b=b)
     wrong = ~get(name="right")
     counts = {name: _counted(WarningCounts.of(warn, wrong, driving)) for name, warn in _rules(config, get, moving)}
-    passed = get(name="available") & get(name="consistent") & moving & get(name="speed")
+    stages = _stages(get, driving, moving)
     warned = dict(_rules(config, get, moving))["all phases"]
-    sweep = sweep_thresholds(get(name="own score"), wrong, THRESHOLDS, driving & passed)
+    sweep = sweep_thresholds(get(name="own score"), wrong, THRESHOLDS, stages[-1][0])
     belief = sweep_thresholds(100.0 * get(name="probability"), wrong, THRESHOLDS, driving)
     charges = charging_counts(
         config.charging, road_map, link=get(name="link"), warn=warned, speed_mps=s.of_points("average", b),
@@ -290,11 +290,18 @@ def _judged(
         "available": float(get(name="available")[driving].mean()),
         "reasons": np.bincount(get(name="reason")[driving], minlength=len(ContextReason)).tolist(),
         "counts": counts,
-        "judged": _counted(WarningCounts.of(~get(name="map"), wrong, driving & passed)),
+        "stages": [_counted(WarningCounts.of(warn, wrong, reached)) for reached, warn in stages],
         "sweep": [sweep.false_alarms.tolist(), sweep.missed.tolist(), sweep.points],
         "belief": [belief.false_alarms.tolist(), belief.missed.tolist(), belief.points],
         "charging": charges,
     }
+
+
+def _stages(get: Any, driving: Bools, moving: Bools) -> list[tuple[Bools, Bools]]:
+    """Of each phase, the points (T,) that reach it and those that it warns of; at rest none reaches the second."""
+    first = get(name="available") & get(name="consistent")
+    second = driving & first & moving
+    return [(driving, ~first), (second, ~get(name="speed")), (second & get(name="speed"), ~get(name="map"))]
 
 
 def _rules(config: ContextStudyConfig, get: Any, moving: Bools) -> Iterator[tuple[str, Bools]]:

@@ -19,6 +19,7 @@ __all__ = [
     "reason_rows",
     "rule_rows",
     "speed_rows",
+    "stage_rows",
     "summarise",
 ]
 
@@ -27,6 +28,8 @@ Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 PUBLISHED_PASSED = {"urban": 913, "rural": 2994, "mixed": 809}  # points, S5 table after section 4.4
 PRINTED_PERCENT = {"urban": 98.24, "rural": 99.23, "mixed": 97.29}  # S5 Table 4
 MAIN = "with errors, topological"  # S5's matcher, with the map that a vehicle may have
+OWN = "all systems, declared errors"
+STAGES = ("phase 1", "phase 2, of what reaches it", "phase 3, of what reaches it")
 RULES = (
     "as printed", "all phases", "without position", "without speed", "without map", "position alone", "speed alone",
     "map alone", "level alone", "never", "always",
@@ -63,7 +66,7 @@ def _monitor(found: list[Mapping[str, Any]]) -> dict[str, Any]:
         "passed": _spread(f["passed"] / max(f["counts"]["never"][0], 1) for f in found),
         "reasons": [int(n) for n in np.sum([f["reasons"] for f in found], 0)],
         "rules": {rule: _counts([f["counts"][rule] for f in found]) for rule in RULES},
-        "judged": _counts([f["judged"] for f in found]),
+        "stages": [_counts([f["stages"][k] for f in found]) for k in range(3)],
         "sweep": _sweep([f["sweep"] for f in found]),
         "belief": _sweep([f["belief"] for f in found]),
         "charging": {
@@ -122,36 +125,56 @@ def _with_spread(values: Sequence[float]) -> str:
 
 
 def ocdr_rows(tables: Mapping[str, Any]) -> Table:
-    """OCDR of S5 beside ours, in motion and at rest, and of points that reached the third phase."""
+    """OCDR of S5 beside ours: with warnings at rest, of all phases, and of each phase over the points that reach it."""
     rows: list[tuple[str, ...]] = []
     for name, env in tables["environments"].items():
         found, paper = env["of"][MAIN], WarningCounts(PUBLISHED_COUNTS[name][2], 0, *PUBLISHED_COUNTS[name][:2])
         rows.append((
             name, f"{100 * paper.ocdr:.2f} %", *(_with_spread(found["rules"][rule]["ocdr"]) for rule in
-            ("as printed", "all phases")), _with_spread(found["judged"]["ocdr"]),
-            _with_spread(found["rules"]["never"]["ocdr"]), _with_spread(found["available"]),
+            ("as printed", "all phases", "never")), *(_with_spread(stage["ocdr"]) for stage in found["stages"]),
+            _with_spread(found["available"]),
         ))  # fmt: skip
     return (
-        "drive", "S5", "warned at rest", "all phases", "third phase alone, of points that reach it", "never warn",
-        "HPL within limit",
+        "drive", "S5", "warned at rest", "all phases", "never warn", *STAGES, "HPL within limit",
     ), rows  # fmt: skip
+
+
+def stage_rows(tables: Mapping[str, Any]) -> Table:
+    """Each phase over the points that reach it, all drives together, beside never warning of the same points."""
+    rows: list[tuple[str, ...]] = []
+    for name, env in tables["environments"].items():
+        for assumed, found in _by_receiver(env):
+            for stage, counted in zip(STAGES, found["stages"], strict=True):
+                p = counted["pooled"]
+                never = 1.0 - p["wrong"] / max(p["points"], 1)
+                shares = (p["ocdr"], never, p["per_right"], p["per_wrong"])
+                rows.append((name, assumed, stage, f"{p['points']:,}", f"{p['wrong']:,}", *map(_percent, shares)))
+    return (
+        "drive", "receiver", "phase", "points", "wrong", "OCDR", "never warn", "warned of right points",
+        "wrong points not warned of",
+    ), rows  # fmt: skip
+
+
+def _by_receiver(env: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """The monitor's own receiver first, then those of the assumptions."""
+    return [(OWN, env["of"][MAIN]), *env["assumptions"].items()]
 
 
 def assumption_rows(tables: Mapping[str, Any]) -> Table:
     """Availability and rates by what the receiver uses and declares; the first row of a drive is the monitor's own."""
     rows: list[tuple[str, ...]] = []
     for name, env in tables["environments"].items():
-        for assumed, found in (("all systems, declared errors", env["of"][MAIN]), *env["assumptions"].items()):
+        for assumed, found in _by_receiver(env):
             rows.append((
                 name, assumed, _with_spread(found["available"]), _with_spread(found["passed"]),
                 _with_spread(found["rules"]["as printed"]["ocdr"]), _with_spread(found["rules"]["all phases"]["ocdr"]),
-                _with_spread(found["judged"]["ocdr"]),
+                *(_with_spread(stage["ocdr"]) for stage in found["stages"]),
             ))  # fmt: skip
         passed = 100 * PUBLISHED_PASSED[name] / PUBLISHED_COUNTS[name][2]
-        rows.append((name, "S5, published", "-", f"{passed:.1f} %", f"{PRINTED_PERCENT[name]:.2f} %", "-", "-"))
+        rows.append((name, "S5, published", "-", f"{passed:.1f} %", f"{PRINTED_PERCENT[name]:.2f} %", *("-",) * 4))
     return (
         "drive", "receiver", "HPL within limit", "three levels passed", "OCDR, warned at rest", "OCDR, all phases",
-        "OCDR, third phase of points that reach it",
+        *STAGES,
     ), rows  # fmt: skip
 
 
@@ -160,7 +183,7 @@ def reason_rows(tables: Mapping[str, Any]) -> Table:
     names = [reason.name.lower() for reason in ContextReason]
     rows: list[tuple[str, ...]] = []
     for drive, env in tables["environments"].items():
-        for assumed, found in (("all systems, declared errors", env["of"][MAIN]), *env["assumptions"].items()):
+        for assumed, found in _by_receiver(env):
             total = max(sum(found["reasons"]), 1)
             rows.append((drive, assumed, *(_percent(n / total) for n in found["reasons"])))
     return ("drive", "receiver", *names), rows

@@ -7,17 +7,18 @@ those of the text, shapes of roads are chosen. Positions are GPS alone with erro
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.motion.drive import DriveConfig
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sky.road import Road
 
-__all__ = ["EQUIPMENT", "SCENARIOS", "Scenario", "disturbed"]
+__all__ = ["EQUIPMENT", "SCENARIOS", "SHARP", "Scenario", "disturbed"]
 
 Array = NDArray[np.float64]
 
@@ -44,7 +45,7 @@ class Scenario:
     points_m : corners of the road (P, 2); corner_m : radius of its bends; length_s : duration; outages_s : spans
     without GNSS; spurious_s : spans with a displaced position, by ``shift_m``; start_sigma_m, heading_deg : 1-sigma of
     the pose known at the start; filters : configurations by name; compared : the first two are, in pairs of drives;
-    paper : what S4 states, by name of the figure (:mod:`.filters`)
+    paper : what S4 states, by name of the figure (:mod:`.filters`); equipment : changes of EQUIPMENT
     """
 
     number: str
@@ -61,6 +62,7 @@ class Scenario:
     heading_deg: float = 2.0
     compared: bool = False
     paper: Mapping[str, float] = field(default_factory=dict)
+    equipment: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def road(self) -> Road:
@@ -73,8 +75,6 @@ def disturbed(scenario: Scenario, m: Measurements, time_s: float, azimuth_rad: A
 
     A spurious position is a displacement of all ranges alike, (B,) azimuths: consistent, so that no residual shows it.
     """
-    from dataclasses import replace
-
     g = m.gnss
     if any(low <= time_s < high for low, high in scenario.outages_s):
         return replace(m, gnss=replace(g, tracked=np.zeros_like(g.tracked)))
@@ -91,7 +91,7 @@ def _campus() -> tuple[tuple[float, float], ...]:
 
 
 def _yard() -> tuple[tuple[float, float], ...]:
-    """390 m with sharp turns at every 25 to 45 m."""
+    """Sharp turns at every 25 to 45 m, then straight on; the trial ends after 390 m."""
     turns = (0, 0), (45, 0), (45, 30), (15, 30), (15, 60), (60, 60), (60, 90), (20, 90), (20, 120), (70, 120)
     return (*turns, (70, 150), (200, 150))
 
@@ -125,7 +125,7 @@ SCENARIOS = {
             outages_s=((60, 110), (170, 220)), compared=True,
         ),
         Scenario(
-            "10", "390 m of sharp turns without GNSS", _yard(), 110.0,
+            "10", "390 m of sharp turns without GNSS", _yard(), 79.7,
             DriveConfig(speed_limit_mps=5.0, lateral_mps2=3.0, **FREE), {"SM-EKF": SM, "IMM-EKF": IMM}, corner_m=10.0,
             outages_s=((0, 1e9),), start_sigma_m=0.3, heading_deg=0.5, compared=True,
             paper={"max IMM-EKF": 3.0, "rms gained": 0.484},
@@ -138,3 +138,51 @@ SCENARIOS = {
     )
 }  # fmt: skip
 """The trials by number; what S4 states of each."""
+
+GYRO = {
+    "imu": {"gyro": {"density": 1e-9, "instability": 0.0, "random_walk": 0.0, "turn_on": 0.0, "scale": 0.0}},
+    "positioning": {"heading": {
+        "bias_initial_radps": 1e-6, "bias_walk_radps": 1e-9, "gyro_scale": 0.0, "angle_random_walk_rad": 1e-6,
+    }},
+}  # fmt: skip
+COMPASS = {
+    "compass": {"deviation_deg": 0.0, "disturbance_deg": 0.0, "noise_deg": 0.1},
+    "motion": {"compass_deviation_deg": 0.0, "compass_sigma_deg": 0.1, "compass_tau_s": 0.0},
+}
+WHEELS = {"chassis": {"scale_sigma": 0.0}, "motion": {"wheel_scale": 0.0}}
+STEERING = {
+    "chassis": {"steering_offset_deg": 0.0, "steering_noise_deg": 0.0, "steering_step_deg": 0.0},
+    "motion": {"steering_sigma_deg": 0.01, "steering_tau_s": 0.0},
+}
+START = {"start_sigma_m": 0.01, "heading_deg": 0.01}
+
+
+def _biased(true_radps: float, declared_radps: float) -> Mapping[str, Any]:
+    """A gyro bias at the start, 1 sigma."""
+    return {
+        "imu": {"gyro": {"turn_on": true_radps}},
+        "positioning": {"heading": {"bias_initial_radps": declared_radps}},
+    }
+
+
+def _sharp(*changes: Mapping[str, Any], **start: float) -> Scenario:
+    equipment: dict[str, Any] = {}
+    for change in changes:
+        equipment = deep_merge(equipment, change)
+    return replace(SCENARIOS["10"], equipment=equipment, **start)  # type: ignore[arg-type]
+
+
+SHARP: Mapping[str, Scenario] = {
+    "as scenario 10: gyro bias 0.1 deg/s, declared 0.4": _sharp(),
+    "gyro bias 0.05 deg/s (automotive)": _sharp(_biased(8.7e-4, 8.7e-4)),
+    "gyro calibrated for 10 s at rest: 0.0044 deg/s": _sharp(_biased(7.7e-5, 1e-4)),
+    "gyro without errors": _sharp(GYRO),
+    "compass without deviation and disturbances": _sharp(COMPASS),
+    "steering angle without errors": _sharp(STEERING),
+    "wheels without scale error": _sharp(WHEELS),
+    "start known": _sharp(**START),
+    "gyro, start": _sharp(GYRO, **START),
+    "gyro, start, wheels, steering": _sharp(GYRO, WHEELS, STEERING, **START),
+}
+"""Scenario 10 with better sensors; what is true and what is declared change together. S4 has a calibrated gyro (section
+II-C5). A bias of the rest of 10 s at 0.014 deg/s/sqrt(Hz) is left of it here."""

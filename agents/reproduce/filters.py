@@ -16,7 +16,8 @@ from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.agents.reproduce.filter_faults import FAULTS, work_fault
 from lanebound.agents.reproduce.filter_figures import save_figures
-from lanebound.agents.reproduce.filter_scenarios import EQUIPMENT, SCENARIOS, Scenario, disturbed
+from lanebound.agents.reproduce.filter_law import work_law
+from lanebound.agents.reproduce.filter_scenarios import EQUIPMENT, SCENARIOS, SHARP, Scenario, disturbed
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.streams import Streams, named_generator
 from lanebound.integrity.motion.drive import CityDrive
@@ -25,11 +26,13 @@ from lanebound.integrity.navigators.vehicle_filter.navigator import FilterNaviga
 from lanebound.integrity.positioning.filters.code_position import locate_by_codes
 from lanebound.integrity.sensors.instruments import Measurements
 
-__all__ = ["FiltersConfig", "run_filters", "table_rows"]
+__all__ = ["FiltersConfig", "run_filters", "sharp_rows", "table_rows"]
 
 Array = NDArray[np.float64]
 PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce", "lanebound.agents.assess")
-FAULT = "fault "  # begins the names of parts with a fault
+FAULT, SENSORS, LAW = "fault ", "sensors ", "law"
+"""What names of parts begin with: faults, scenario 10 with better sensors, and the fit of static logs."""
+SHARPEST = "10"
 EVERY = 10  # epochs between the moments kept for figures
 
 
@@ -52,21 +55,29 @@ def run_filters(config: FiltersConfig, out: Path, on_progress: OnProgress = igno
     """
     ResultFolder(out, "filter study", config.to_dict(), code_digest(*PACKAGES)).claim()
     faults = [FAULT + name for name in FAULTS] if config.vehicles else []
-    found = run_parts(out, [*config.scenarios, *faults], partial(work_part, config), 1, on_progress)
+    sharp = [SENSORS + name for name in SHARP] if SHARPEST in config.scenarios else []
+    parts = [*config.scenarios, *sharp, *faults, LAW]
+    found = run_parts(out, parts, partial(work_part, config), 1, on_progress)
     trials = {number: found[number] for number in config.scenarios}
     tables = {number: {key: value for key, value in part.items() if key != "series"} for number, part in trials.items()}
     met = {name.removeprefix(FAULT): found[name] for name in faults}
-    result = {"seeds": config.seeds, "scenarios": tables, "faults": met}
+    result = {
+        "seeds": config.seeds, "scenarios": tables, "faults": met, "law": found[LAW],
+        "sharp": {name.removeprefix(SENSORS): found[name]["figures"] for name in sharp},
+    }  # fmt: skip
     write_json(out / "tables.json", result)
     save_figures(trials, out)
     return result
 
 
 def work_part(config: FiltersConfig, number: str, advance: Advance = ignore) -> dict[str, Any]:
-    """One trial: all drives side by side; or one fault."""
+    """One trial: all drives side by side; or one fault; or the static logs."""
     if number.startswith(FAULT):
         return work_fault(number.removeprefix(FAULT), config.vehicles, config.first_seed, advance)
-    scenario = SCENARIOS[number]
+    if number == LAW:
+        return work_law(config.seeds, config.first_seed, advance)
+    better = number.startswith(SENSORS)
+    scenario = SHARP[number.removeprefix(SENSORS)] if better else SCENARIOS[number]
     trial = _Trial(config, scenario)
     epochs = round(scenario.length_s / trial.dt_s)
     for k in range(epochs):
@@ -190,7 +201,9 @@ class _Trial:
 
 def _navigator(scenario: Scenario, change: Mapping[str, Any], seeds: list[int]) -> FilterNavigator:
     """The navigator of a filter of a trial."""
-    data = deep_merge(deep_merge({"kind": "filter"}, EQUIPMENT), change)
+    data: dict[str, Any] = {"kind": "filter"}
+    for more in (EQUIPMENT, scenario.equipment, change):
+        data = deep_merge(data, more)
     navigator = Navigator.nominal(NavigatorConfig.load(data), seeds, duration_s=scenario.length_s + 20.0)
     assert isinstance(navigator, FilterNavigator)
     return navigator
@@ -223,3 +236,12 @@ def table_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
             elif value is not None:
                 rows.append((number, key, paper, f"{value:.3g}", ""))
     return rows
+
+
+def sharp_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Scenario 10 by its sensors: largest errors of both filters, RMS gained, median trust level; with 5 and 95 %."""
+    keys = ("max IMM-EKF", "max SM-EKF", "rms gained", "HTL median")
+    return [
+        (name, *(f"{figures[key][1]:.2f} ({figures[key][0]:.2f} .. {figures[key][2]:.2f})" for key in keys))
+        for name, figures in result["sharp"].items()
+    ]

@@ -65,6 +65,10 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
         assert rules["never"]["pooled"]["missed"] == rules["never"]["pooled"]["wrong"]
         assert rules["all phases"]["pooled"]["false_alarms"] >= rules["without map"]["pooled"]["false_alarms"]
         assert rules["all phases"]["pooled"]["missed"] <= rules["without map"]["pooled"]["missed"]
+        reached = [stage["pooled"] for stage in monitor["stages"]]
+        assert 120 == reached[0]["points"] >= reached[1]["points"] >= reached[2]["points"]
+        unwarned = reached[2]["points"] - reached[2]["false_alarms"] - (reached[2]["wrong"] - reached[2]["missed"])
+        assert unwarned == monitor["reasons"][0]  # what no phase warns of is trusted
     far = found["assumptions"]["GPS alone, limit 50 m, P_FA 5e-3, P_MD 5e-5"]["available"]
     assert far[0] > found["assumptions"]["GPS alone"]["available"][0]  # the limit is that of the assumption
     printed = found["assumptions"]["S5: as printed, GPS alone, weak signals"]["available"]
@@ -89,7 +93,7 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
     ):
         assert words in told.output
     for rows in (made.ocdr_rows, made.rule_rows, made.matcher_rows, made.speed_rows, made.application_rows,
-                 made.assumption_rows, made.reason_rows):  # fmt: skip
+                 made.assumption_rows, made.stage_rows, made.reason_rows):  # fmt: skip
         head, cells = rows(tables)
         assert cells
         assert all(len(row) == len(head) for row in cells)

@@ -9,6 +9,8 @@ from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.reproduce import filter_faults, filter_scenarios, filters
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.drive import CityDrive
 from lanebound.integrity.sensors.inertial_law import PUBLISHED
 
 
@@ -41,8 +43,34 @@ def test_a_trial_writes_its_table_and_figures(short, tmp_path):
     assert fault["no gate, no memory"]["worst_m"][1] > 4.0 * fault["gate"]["worst_m"][1]
     assert fault["gate"]["beyond_level"] == 0.0
     assert {path.name for path in out.glob("*.png")} == {f"scenario-6-{n}.png" for n in ("errors", "path", "integrity")}
+    law = json.loads((out / "tables.json").read_text())["law"]
+    assert law["C1 [m/s^2]"][1] == pytest.approx(-0.0043, rel=0.1)
+    assert law["tau [s]"][1] == pytest.approx(500.0, rel=0.2)
+    assert law["drift in 60 s, uncorrected [m]"][1] == pytest.approx(12.9, abs=1.0)
+    assert 0.0 < law["drift in 60 s, corrected [m]"][1] < 0.7
     rows = filters.table_rows(json.loads((out / "tables.json").read_text()))
     assert rows[[r[1] for r in rows].index("max IMM-EKF")][:3] == ("6", "max IMM-EKF", "15")
+
+
+def test_sharp_turns_end_after_390_m_and_a_calibrated_gyro_halves_their_error(tmp_path, monkeypatch):
+    """S4's course of 390 m without GNSS, below 3 m with a calibrated gyro; 8 drives."""
+    kept = {name: trial for name, trial in filter_scenarios.SHARP.items() if "scenario" in name or "at rest" in name}
+    monkeypatch.setattr(filters, "SHARP", kept)
+    scenario = filter_scenarios.SCENARIOS["10"]
+    car, traffic = CityDrive(scenario.road, scenario.drive, 0.1), Streams([1])
+    state, driven = car.start(traffic), 0.0
+    for _ in range(round(10 * scenario.length_s)):
+        before = state.position_m.copy()
+        car.step(state, traffic)
+        driven += float(np.linalg.norm(state.position_m - before))
+    assert driven == pytest.approx(390.0, abs=0.5)
+    config = filters.FiltersConfig(seeds=8, scenarios=("10",), vehicles=0)
+    result = filters.run_filters(config, tmp_path / "sharp")
+    plain, calibrated = (figures["max IMM-EKF"][1] for figures in result["sharp"].values())
+    assert plain == result["scenarios"]["10"]["figures"]["max IMM-EKF"][1]
+    assert calibrated < 3.0
+    assert calibrated < 0.7 * plain
+    assert len(filters.sharp_rows(result)) == 2
 
 
 def test_a_static_log_is_fitted_by_the_command(tmp_path):
