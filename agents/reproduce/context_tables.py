@@ -84,14 +84,14 @@ def _spread(values: Iterable[float]) -> list[float]:
 
 
 def _counts(rows: Sequence[Sequence[int]]) -> dict[str, Any]:
-    """Rates of the drives, and of all their points together."""
+    """Rates of the drives that have points, and of all their points together."""
     each = [WarningCounts(*row) for row in rows]
-    total = sum(each[1:], each[0])
+    total, some = sum(each[1:], each[0]), [c for c in each if c.points]
     return {
-        "ocdr": _spread(c.ocdr for c in each), "far": _spread(c.far for c in each), "mdr": _spread(c.mdr for c in each),
+        **{key: _spread(getattr(c, key) for c in some) if some else None for key in ("ocdr", "far", "mdr")},
         "pooled": {
             "points": total.points, "wrong": total.wrong, "false_alarms": total.false_alarms, "missed": total.missed,
-            "ocdr": total.ocdr, "per_right": total.per_right, "per_wrong": total.per_wrong,
+            "ocdr": total.ocdr if total.points else None, "per_right": total.per_right, "per_wrong": total.per_wrong,
             "far_95": total.interval(total.false_alarms), "mdr_95": total.interval(total.missed),
         },
     }  # fmt: skip
@@ -120,8 +120,8 @@ def _percent(value: float | None, digits: int = 1) -> str:
     return "-" if value is None else f"{100.0 * value:.{digits}f} %"
 
 
-def _with_spread(values: Sequence[float]) -> str:
-    return f"{100 * values[0]:.1f} ({100 * values[1]:.1f} to {100 * values[2]:.1f}) %"
+def _with_spread(values: Sequence[float] | None) -> str:
+    return "-" if values is None else f"{100 * values[0]:.1f} ({100 * values[1]:.1f} to {100 * values[2]:.1f}) %"
 
 
 def ocdr_rows(tables: Mapping[str, Any]) -> Table:
@@ -146,7 +146,7 @@ def stage_rows(tables: Mapping[str, Any]) -> Table:
         for assumed, found in _by_receiver(env):
             for stage, counted in zip(STAGES, found["stages"], strict=True):
                 p = counted["pooled"]
-                never = 1.0 - p["wrong"] / max(p["points"], 1)
+                never = 1.0 - p["wrong"] / p["points"] if p["points"] else None
                 shares = (p["ocdr"], never, p["per_right"], p["per_wrong"])
                 rows.append((name, assumed, stage, f"{p['points']:,}", f"{p['wrong']:,}", *map(_percent, shares)))
     return (

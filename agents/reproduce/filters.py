@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 from scipy.stats import wilcoxon
 
 from lanebound.agents.checkpointing.files import write_json
@@ -19,6 +20,7 @@ from lanebound.agents.reproduce.filter_figures import save_figures
 from lanebound.agents.reproduce.filter_law import work_law
 from lanebound.agents.reproduce.filter_scenarios import EQUIPMENT, SCENARIOS, SHARP, Scenario, disturbed
 from lanebound.integrity.core.config import Config, Field, deep_merge
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import Streams, named_generator
 from lanebound.integrity.motion.drive import CityDrive
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
@@ -43,6 +45,13 @@ class FiltersConfig(Config):
     first_seed: int = Field(1, ge=0, description="of the drives")
     scenarios: tuple[str, ...] = Field(tuple(SCENARIOS), min_length=1, description="numbers of S4's table I")
     vehicles: int = Field(40, ge=0, le=2000, description="vehicles that meet each fault; 0: no faults [-]")
+
+    @model_validator(mode="after")
+    def _scenarios_are_known(self) -> Self:
+        unknown = [number for number in self.scenarios if number not in SCENARIOS]
+        if unknown:
+            raise ConfigError(f"scenarios must be among {', '.join(SCENARIOS)}, got {unknown[0]!r}: correct it")
+        return self
 
 
 def run_filters(config: FiltersConfig, out: Path, on_progress: OnProgress = ignore) -> dict[str, Any]:

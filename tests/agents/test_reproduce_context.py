@@ -71,6 +71,7 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
         assert unwarned == monitor["reasons"][0]  # what no phase warns of is trusted
     far = found["assumptions"]["GPS alone, limit 50 m, P_FA 5e-3, P_MD 5e-5"]["available"]
     assert far[0] > found["assumptions"]["GPS alone"]["available"][0]  # the limit is that of the assumption
+    assert found["assumptions"]["GPS alone"]["stages"][2]["ocdr"] is None  # no point reaches the third phase
     printed = found["assumptions"]["S5: as printed, GPS alone, weak signals"]["available"]
     assert printed[0] > found["assumptions"]["GPS alone"]["available"][0]
     assert {path.name for path in tmp_path.glob("*.png")} == {"threshold.png", "rules.png", "matchers.png"}

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.reproduce import filter_faults, filter_scenarios, filters
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.drive import CityDrive
 from lanebound.integrity.sensors.inertial_law import PUBLISHED
@@ -71,6 +72,11 @@ def test_sharp_turns_end_after_390_m_and_a_calibrated_gyro_halves_their_error(tm
     assert calibrated < 3.0
     assert calibrated < 0.7 * plain
     assert len(filters.sharp_rows(result)) == 2
+
+
+def test_an_unknown_scenario_is_refused():
+    with pytest.raises(ConfigError, match="scenarios must be among 5, 6, 7, 8-9, 10, 11, got '4'"):
+        filters.FiltersConfig(scenarios=("4",))
 
 
 def test_a_static_log_is_fitted_by_the_command(tmp_path):
