@@ -204,7 +204,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert refused.exit_code == 2
 
 
-def test_a_base_far_from_its_header_is_noticed(tmp_path: Path) -> None:
+def test_a_base_far_from_its_codes_is_noticed(tmp_path: Path) -> None:
     from lanebound.agents.cli import app
 
     folder = real("rtk_matrtklib_1m_static_30s")
@@ -218,8 +218,8 @@ def test_a_base_far_from_its_header_is_noticed(tmp_path: Path) -> None:
         )
         for off in (0.0, 5000.0)
     )
-    assert "from where the base's header has it" not in near.output
-    assert "note: --base-position is 5.0 km from where the base's header has it" in far.stderr
+    assert "its own codes" not in near.output
+    assert "note: the base is 5.0 km from where its own codes put it" in far.stderr
 
 
 @pytest.mark.parametrize("text", ["137.0,35.0,100.0", "35.0,400.0,100.0", "1.0,2.0,3e7", "95.0,10.0,50.0"])
@@ -249,3 +249,8 @@ def test_run_needs_no_truth(tmp_path: Path) -> None:
     found, _ = run_baseline(folder / "rover.obs", folder / "base.obs", [folder / "base.nav"], tmp_path)
     assert "errors" not in found
     assert found["fixed"] == 31
+    assert found["base_from_codes_m"] < 100.0
+    assert found["half_cycle_share"] == {"rover": 0.0, "base": 0.0}
+    far = PLACE + 5000.0 * PLACE / np.linalg.norm(PLACE)
+    lost, _ = run_baseline(folder / "rover.obs", folder / "base.obs", [folder / "base.nav"], tmp_path, base_ecef_m=far)
+    assert lost["base_from_codes_m"] > 4000.0
