@@ -340,6 +340,11 @@ def _print_service(found: dict[str, Any]) -> None:
             rows += [(f"{name}, {part} m", found[key][f"{part}_m"]) for part in ("median", "p95", "max")]
     rows += [(key, found[key]) for key in ("available", "no_level") if key in found]
     print_table(f"Drive on {', '.join(found['service'])}", ("", "value"), rows)
+    if found["modes"].get("none"):
+        typer.echo(
+            f"{found['modes']['none']} of {found['epochs']} epochs have no position with a finite level at risk "
+            f"{found['risk']:g}; a higher one has more: --set risk.integrity_risk=1e-3"
+        )
     if "at" in found:
         head = ("axis", "n", "above PL", "exact 95 % interval", "median PL m")
         levels = [

@@ -57,8 +57,8 @@ def drive_service_street(config: StreetDrivesConfig, sky: str, number: int) -> I
         error = solution.position_en_m - truth.position_enu_m[:, :2]
         turned = np.einsum("bij,bj->bi", track_from_enu_matrix(truth.heading_rad), error)
         direct = navigator.mask.look(truth.arc_m, truth.lane, measured.sky).path == SignalPath.LOS
-        seen = (hdop(navigator.config, measured, among) for among in (np.ones_like(direct), direct))
-        yield ServiceMoment(turned, solution, *seen, corrected(navigator.config, measured))
+        every, ours = (hdop(navigator.config, measured, among) for among in (np.ones_like(direct), direct))
+        yield ServiceMoment(turned, solution, every, ours, corrected(navigator.config, measured))
 
 
 def hdop(config: Any, m: Measurements, among: Bools) -> Array:
