@@ -26,7 +26,8 @@ CITY_WORDS = (
 )
 RESULTS = (".json", ".csv", ".png")
 MANIFEST = ("run.json",)
-FAR_M = 1000.0  # between the given position of a base and that of its header, which may be coarse
+FAR_M = 200.0  # between the position of a base and that by its codes, without models of the air
+MOST_HALVES = 0.2  # share of phases that may be off by half a cycle
 
 
 def replay(
@@ -100,10 +101,12 @@ def replay(
 
 
 def rtk(
-    rover: Annotated[Path, typer.Option(metavar="FILE.obs", help="RINEX 3 observations of the rover.")],
-    base: Annotated[Path, typer.Option(metavar="FILE.obs", help="RINEX 3 observations of the base.")],
+    rover: Annotated[
+        Path, typer.Option(metavar="FILE.obs", help="RINEX 3 or 4 observations of the rover, plain or gzip.")
+    ],
+    base: Annotated[Path, typer.Option(metavar="FILE.obs", help="RINEX 3 or 4 observations of the base.")],
     nav: Annotated[
-        list[Path], typer.Option(metavar="FILE.nav", help="RINEX 3 navigation messages; several files are merged.")
+        list[Path], typer.Option(metavar="FILE.nav", help="RINEX 3 or 4 navigation messages; several files are merged.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for solution.csv and rtk.json.")],
     base_position: Annotated[
@@ -149,9 +152,6 @@ def rtk(
         print_json(found)
         return
     _print_rtk(found)
-    if (found["base_from_header_m"] or 0.0) > FAR_M:
-        away = f"{found['base_from_header_m'] / 1000.0:.1f} km"
-        typer.echo(f"note: --base-position is {away} from where the base's header has it: is it this base?", err=True)
     _print_files(found["stopped"], written)
 
 
@@ -255,13 +255,37 @@ def _print_rtk(found: dict[str, Any]) -> None:
     keys = ("epochs", "fixed", "satellites_median", "excluded", "wrong_fix_risk_max", "base_from_header_m")
     rows = [(key, found[key]) for key in keys] + [(f"epochs {name}", n) for name, n in found["status"].items() if n]
     print_table("RTK", ("", "value"), rows)
-    if "not_converged" in found:
-        typer.echo(f"not_converged: {found['not_converged']['what']}")
+    _print_rtk_notes(found)
     errors = found.get("errors", {})
     if errors:
         head = ("epochs", "axis", "n", "largest horizontal m", "above PL", "exact 95 % interval", "median PL m")
         print_table("Errors", head, [row for name in errors for row in _bounding_rows(name, errors[name])])
         typer.echo(found["caution"])
+
+
+def _print_rtk_notes(found: dict[str, Any]) -> None:
+    """Print why epochs are not fixed, and what seems wrong with the inputs."""
+    from lanebound.integrity.positioning.rtk_status import RtkStatus
+
+    for name, count in found["status"].items():
+        if count and name == "not_converged":
+            typer.echo(f"not_converged: {found['not_converged']['what']}")
+        elif count and name != "fixed":
+            typer.echo(f"{name}: {RtkStatus[name.upper()].value}")
+    if (found["base_from_codes_m"] or 0.0) > FAR_M:
+        away = f"{found['base_from_codes_m'] / 1000.0:.1f} km"
+        typer.echo(
+            f"note: the base is {away} from where its own codes put it: give --base-position of this base, and check "
+            "that rover and base are not swapped",
+            err=True,
+        )
+    for name, share in found["half_cycle_share"].items():
+        if share > MOST_HALVES:
+            typer.echo(
+                f"note: {100.0 * share:.0f} % of the phases of the {name} may be off by half a cycle by their flags, "
+                "and are not used",
+                err=True,
+            )
 
 
 def _bounding_rows(name: str, found: dict[str, Any]) -> list[list[Any]]:
@@ -316,6 +340,11 @@ def _print_service(found: dict[str, Any]) -> None:
             rows += [(f"{name}, {part} m", found[key][f"{part}_m"]) for part in ("median", "p95", "max")]
     rows += [(key, found[key]) for key in ("available", "no_level") if key in found]
     print_table(f"Drive on {', '.join(found['service'])}", ("", "value"), rows)
+    if found["modes"].get("none"):
+        typer.echo(
+            f"{found['modes']['none']} of {found['epochs']} epochs have no position with a finite level at risk "
+            f"{found['risk']:g}; a higher one has more: --set risk.integrity_risk=1e-3"
+        )
     if "at" in found:
         head = ("axis", "n", "above PL", "exact 95 % interval", "median PL m")
         levels = [

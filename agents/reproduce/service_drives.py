@@ -1,7 +1,8 @@
 """Drives of the study of services: what a vehicle has in an epoch, and the convergence of PPP at rest.
 
-HDOP is that of the satellites of the service that are tracked above its mask, with the clocks of its systems. A service
-is ``corrected`` while the corrections that the vehicle holds are not older than their time-outs.
+HDOP is that of the satellites of the service that are tracked above its mask, with the clocks of its systems; and that
+of those in the line of sight alone, which is closer to a receiver that loses weak signals. A service is ``corrected``
+while the corrections that the vehicle holds are not older than their time-outs.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from lanebound.integrity.navigators.services.table import declared_of, service_n
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.systems import System
+from lanebound.integrity.sky.visibility import SignalPath
 
 __all__ = ["HOURS", "ServiceMoment", "converge", "drive_service_street", "hdop"]
 
@@ -33,11 +35,13 @@ NO_DOP = 1e3
 
 
 class ServiceMoment(NamedTuple):
-    """An epoch of B vehicles: error (B, 2) along and across the track [m], solution, HDOP (B,), corrected (B,)."""
+    """An epoch of B vehicles: error (B, 2) along and across the track [m], solution, HDOP (B,) of what is tracked and
+    of what is in the line of sight, corrected (B,)."""
 
     error_m: Array
     solution: Solution
     hdop: Array
+    hdop_direct: Array
     corrected: Bools
 
 
@@ -52,11 +56,13 @@ def drive_service_street(config: StreetDrivesConfig, sky: str, number: int) -> I
             continue
         error = solution.position_en_m - truth.position_enu_m[:, :2]
         turned = np.einsum("bij,bj->bi", track_from_enu_matrix(truth.heading_rad), error)
-        yield ServiceMoment(turned, solution, hdop(navigator.config, measured), corrected(navigator.config, measured))
+        direct = navigator.mask.look(truth.arc_m, truth.lane, measured.sky).path == SignalPath.LOS
+        every, ours = (hdop(navigator.config, measured, among) for among in (np.ones_like(direct), direct))
+        yield ServiceMoment(turned, solution, every, ours, corrected(navigator.config, measured))
 
 
-def hdop(config: Any, m: Measurements) -> Array:
-    """HDOP of the satellites of the first service, (B,); NO_DOP where they do not determine a position."""
+def hdop(config: Any, m: Measurements, among: Bools) -> Array:
+    """HDOP of those satellites of the first service that are among some (B, S), (B,); NO_DOP where they are too few."""
     service = service_named(config.service[0])
     systems, mask_deg = tuple(System.__members__), config.positioning.rtk.elevation_mask_deg
     if not service.fixes:
@@ -64,11 +70,12 @@ def hdop(config: Any, m: Measurements) -> Array:
         systems, mask_deg = declared.systems, declared.elevation_mask_deg
     numbers = [int(System[name]) for name in systems]
     los = m.sky.los_enu[m.sky.index]
-    used = m.gnss.tracked & np.isin(m.sky.system, numbers) & (los[..., 2] > np.sin(np.deg2rad(mask_deg)))
+    used = m.gnss.tracked & among & np.isin(m.sky.system, numbers) & (los[..., 2] > np.sin(np.deg2rad(mask_deg)))
     clocks = (m.sky.system[:, None] == np.array(numbers)).astype(np.float64)
     design = np.concatenate([-los, np.broadcast_to(clocks, (*los.shape[:2], len(numbers)))], -1) * used[..., None]
     normal = np.swapaxes(design, 1, 2) @ design
     absent = np.einsum("bii->bi", normal) == 0.0  # clocks of systems without a satellite
+    absent[:, :3] = False  # without any satellite there is no HDOP
     normal = normal + np.where(absent[:, :, None], np.eye(normal.shape[1]), 0.0)
     out = np.full(len(used), NO_DOP)
     good = np.linalg.cond(normal) < 1e10

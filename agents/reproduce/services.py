@@ -5,7 +5,10 @@ and nearly always with PPP; in the city hardly ever. S2 states no accuracy for t
 while the horizontal error is at most 1.5 m, the alert limit of S2 section 8, and ``bounded`` while both protection
 levels are. S4 section III-A: a low-cost GPS receiver in the open without and with EGNOS, and how long EGNOS is
 available on a mixed circuit and in the city, by its satellites alone and with SISNeT. The mixed circuit is here the
-mean over the skies; EGNOS is available while its corrections are not older than their time-outs.
+mean over the skies, of which the city of S4 is ``dense``. EGNOS is available while its corrections are not older than
+their time-outs, and there is a position from satellites in the line of sight: S4 counts travelled time with corrected
+positions. S4's receiver has one channel for EGNOS (NovAtel MiLLennium command
+descriptions OM-20000053, section 2.3.1: 10 GPS and 1 WAAS channels).
 
 The drives are too short for PPP to converge. It has a scenario of its own: vehicles at rest in the open for 30 minutes,
 at hours spread over a day.
@@ -25,7 +28,7 @@ from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.agents.reproduce.service_drives import HOURS, converge, drive_service_street
+from lanebound.agents.reproduce.service_drives import HOURS, NO_DOP, converge, drive_service_street
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
@@ -48,7 +51,7 @@ LOW_COST = {
     "gnss": {
         "code_sigma_m": 1.0,
         "code_multipath_m": 1.0,
-        "augmentation": {"geo_longitude_deg": [-15.5, 21.5]},  # EGNOS in 2008: PRN 120 and 124
+        "augmentation": {"geo_longitude_deg": [-15.5]},  # PRN 120 of EGNOS, one channel
     },
     "sky": MURCIA,
     "services": {
@@ -91,12 +94,17 @@ class ServiceStudyConfig(Config):
 
     seeds: int = Field(100, ge=1, le=10_000, description="streets of each sky; each is a part")
     cases: tuple[str, ...] = Field(tuple(CASES), min_length=1, description="services and receivers")
-    skies: tuple[str, ...] = Field(("open", "suburban", "urban"), min_length=1, description="levels of the sky")
+    skies: tuple[str, ...] = Field(
+        ("open", "suburban", "urban", "dense"), min_length=1, description="levels of the sky"
+    )
     vehicles: int = Field(4, ge=1, le=256, description="vehicles in a street, each in an hour of its street")
     duration_s: float = Field(60.0, gt=0, description="length of a drive after the warm-up [s]")
     warm_up_s: float = Field(20.0, ge=0, description="time before the first epoch that counts [s]")
     ppp_hours: int = Field(8, ge=0, le=HOURS, description="hours of the day at which PPP converges; 0: not at all")
     ppp_minutes: int = Field(30, ge=1, le=120, description="time at rest of PPP [min]; S2 Table 1: up to 30")
+    geo_reacquire_s: float = Field(
+        3.0, ge=0, description="from the end of an obstruction to the next message of a GEO [s]; S4 prints none"
+    )
     first_seed: int = Field(401, ge=0, description="of the drives; nothing was fitted there")
 
 
@@ -148,7 +156,9 @@ def _drive(config: ServiceStudyConfig, sky: str, number: int, case: str) -> dict
         duration_s=config.duration_s,
         warm_up_s=config.warm_up_s,
         seed=config.first_seed,
-        navigator=NavigatorConfig.preset(preset).replace(**changes),
+        navigator=NavigatorConfig.preset(preset)
+        .replace(**changes)
+        .replace(gnss={"augmentation": {"geo_reacquire_s": config.geo_reacquire_s}}),
     )
     rows = [
         np.column_stack(
@@ -159,6 +169,7 @@ def _drive(config: ServiceStudyConfig, sky: str, number: int, case: str) -> dict
                 moment.solution.mode,
                 moment.hdop,
                 moment.corrected,
+                moment.hdop_direct,
             ]
         )
         for moment in drive_service_street(drives, sky, number)
@@ -173,7 +184,8 @@ def _mode_of(case: str) -> Mode:
 
 
 def _figures(rows: NDArray[np.float64], mode: Mode) -> dict[str, float]:
-    """Statistics of epochs (N, 8): horizontal error, errors and levels along and across, mode, HDOP, corrected."""
+    """Statistics of epochs (N, 9): horizontal error, errors and levels along and across, mode, HDOP, corrected, HDOP of
+    the line of sight."""
     error, both, levels, modes, hdop = rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5], rows[:, 6]
     own = modes == int(mode)
     return {
@@ -188,13 +200,17 @@ def _figures(rows: NDArray[np.float64], mode: Mode) -> dict[str, float]:
         "bounded": float((levels <= NEEDED_M).all(-1).mean()),
         "beyond": float((both > levels).any(-1).mean()),
         "hdop_below_3": float((hdop < 3.0).mean()),
+        "direct_below_3": float((rows[:, 8] < 3.0).mean()),
         "corrected": float(rows[:, 7].mean()),
+        "available": float(((rows[:, 7] > 0.0) & (rows[:, 8] < NO_DOP)).mean()),
     }
 
 
 def _medians(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Medians over streets; of shares the mean, as a median of few zeros and ones hides them."""
-    shares = ("service", "accurate", "bounded", "beyond", "hdop_below_3", "corrected")
+    shares = (
+        "service", "accurate", "bounded", "beyond", "hdop_below_3", "direct_below_3", "corrected", "available"
+    )  # fmt: skip
     return {key: float((np.mean if key in shares else np.median)([part[key] for part in parts])) for key in parts[0]}
 
 
@@ -209,7 +225,7 @@ def service_rows(result: Mapping[str, Any]) -> Table:
             of = found[case]
             own = "-" if of["own_cep_m"] >= NO_LEVEL_M else f"{of['own_cep_m']:.2f} / {of['own_hpe95_m']:.2f}"
             levels = ["-" if of[key] >= NO_LEVEL_M else f"{of[key]:.1f}" for key in ("pl_at_m", "pl_ct_m")]
-            shown = ("service", "corrected", "accurate", "bounded", "hdop_below_3")
+            shown = ("service", "corrected", "accurate", "bounded", "hdop_below_3", "direct_below_3")
             shares = [f"{100.0 * of[key]:.0f} %" for key in shown]
             beyond = f"{of['beyond']:.1e}" if of["beyond"] else "0"
             first = sky == next(iter(result["skies"]))
@@ -219,7 +235,7 @@ def service_rows(result: Mapping[str, Any]) -> Table:
             ))  # fmt: skip
     heads = (
         "case", "sky", "CEP / HPE95 [m]", "of its mode [m]", "PL along", "PL across", "of its mode", "corrected",
-        "error < 1.5 m", "levels < 1.5 m", "HDOP < 3", "beyond", "published",
+        "error < 1.5 m", "levels < 1.5 m", "HDOP < 3", "of direct signals", "beyond", "published",
     )  # fmt: skip
     return heads, rows
 
@@ -237,14 +253,16 @@ def _convergence(parts: Sequence[Mapping[str, list[float]]]) -> dict[str, list[f
 
 
 def mixed_rows(result: Mapping[str, Any]) -> Table:
-    """How long corrections are available on the mean of all skies, beside S4 Table IV."""
+    """How long corrections and corrected positions are available on the mean of all skies, beside S4 Table IV."""
     printed = {"s4_egnos": "64.8 %", "s4_sisnet": "89.2 %"}
-    rows: list[tuple[str, ...]] = [
-        (case, f"{100.0 * np.mean([sky[case]['corrected'] for sky in result['skies'].values()]):.1f} %", printed[case])
-        for case in printed
-        if case in result["config"]["cases"]
-    ]
-    return ("case", "corrected, mean of skies", "S4, mixed circuit"), rows
+    rows: list[tuple[str, ...]] = []
+    for case in (case for case in printed if case in result["config"]["cases"]):
+        of = [sky[case] for sky in result["skies"].values()]
+        shares = (f"{100.0 * np.mean([found[key] for found in of]):.1f} %" for key in ("corrected", "available"))
+        rows.append((case, *shares, f"{100.0 * of[-1]['available']:.1f} %", printed[case]))
+    last = result["config"]["skies"][-1]
+    heads = ("case", "corrected, mean of skies", "and a position", f"the same, {last}", "S4, mixed circuit")
+    return heads, rows
 
 
 def convergence_rows(result: Mapping[str, Any]) -> Table:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.source import finite_number, whole_number
 
-__all__ = ["Header", "HeaderBuilder", "b1_in_band_2"]
+__all__ = ["FIRST_LABEL", "LABEL_AT", "Header", "HeaderBuilder", "b1_in_band_2"]
 
 LABEL_AT = 60
+FIRST_LABEL = "RINEX VERSION / TYPE"
 MAX_CODES = 999
 SYSTEMS = "GRESCJI"
 TIME_SYSTEMS = ("GPS", "GLO", "GAL", "QZS", "BDT", "IRN", "UTC")
@@ -78,8 +79,9 @@ class HeaderBuilder:
     def take(self, line: str) -> None:
         """Parse one line of the header."""
         label, text = line[LABEL_AT:].strip(), line[:LABEL_AT]
-        if self.version is None and label != "RINEX VERSION / TYPE":
-            raise ValueError(f"the first line must be 'RINEX VERSION / TYPE', got {line[:80]!r}: is it a RINEX file?")
+        if self.version is None and label != FIRST_LABEL:
+            remedy = "decompress it with crx2rnx" if label.startswith("CRINEX") else "is it a RINEX file?"
+            raise ValueError(f"the first line must be 'RINEX VERSION / TYPE', got {line[:80]!r}: {remedy}")
         reader = READERS.get(label)
         if reader is not None:
             reader(self, text)
@@ -207,7 +209,7 @@ def b1_in_band_2(code: str, version: float) -> str:
 
 
 READERS = {
-    "RINEX VERSION / TYPE": HeaderBuilder._version,
+    FIRST_LABEL: HeaderBuilder._version,
     "MARKER NAME": HeaderBuilder._marker,
     "REC # / TYPE / VERS": HeaderBuilder._receiver,
     "ANT # / TYPE": HeaderBuilder._antenna,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.rinex_header import Header, HeaderBuilder
+from lanebound.integrity.recorded.rinex_header import FIRST_LABEL, LABEL_AT, Header, HeaderBuilder
 from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
 from lanebound.integrity.sky.systems import PRN_BEFORE
 
@@ -29,7 +29,7 @@ FIELD = 16
 LOST, HALF = 1, 2  # bits of the loss-of-lock indicator, RINEX 3.04 section 6.7
 WEEK_S = 604_800
 ORIGIN = date(1980, 1, 6)
-GOOD, POWER_FAILURE, CYCLE_SLIPS, MAX_FLAG = 0, 1, 6, 6
+GOOD, POWER_FAILURE, CYCLE_SLIPS, MAX_FLAG, LEFT_OUT = 0, 1, 6, 6, 7  # of epochs; the last one is ours
 MAX_SATELLITES = 999
 BDT_BEHIND_GPS_S = 14.0  # BeiDou time starts at 2006-01-01 without the leap seconds before that date
 SAME_TIME = ("GPS", "GAL", "QZS", "IRN", "BDT")
@@ -63,7 +63,11 @@ class SystemRows:
 
 @dataclass(frozen=True)
 class Observations:
-    """Header, GPS week (T,), time of week (T,) [s], power failure before an epoch (T,), and rows by system letter."""
+    """Header, GPS week (T,), time of week (T,) [s], power failure before an epoch (T,), and rows by system letter.
+
+    ``stopped`` tells where reading ended before the end of the file, ``left_out`` how many epochs were not later than
+    the one before and were left out (files that were joined, epochs that are there twice).
+    """
 
     header: Header
     week: Ints
@@ -71,6 +75,25 @@ class Observations:
     power_failed: NDArray[np.bool_]
     rows: dict[str, SystemRows]
     stopped: Stop | None
+    left_out: int = 0
+
+    @property
+    def note(self) -> str:
+        """What of the file was not used, "" for nothing."""
+        late = f"{self.left_out} epochs left out that are not later than the one before" if self.left_out else ""
+        return "; ".join(text for text in (str(self.stopped or ""), late) if text)
+
+    @property
+    def half_cycle_share(self) -> float:
+        """Share of the phases that may be wrong by half a cycle, and are not used."""
+        phases = [
+            (rows.column(code) != 0.0, rows.half_cycle(code))
+            for rows in self.rows.values()
+            for code in rows.codes
+            if code[0] == "L"
+        ]
+        present = sum(int(there.sum()) for there, _ in phases)
+        return sum(int((there & half).sum()) for there, half in phases) / max(present, 1)
 
     @property
     def epochs(self) -> int:
@@ -139,7 +162,7 @@ class _Parser:
         self.header: Header | None = None
         self.rows: dict[str, _ObservationRows] = {}
         self.week, self.tow, self.power = array("q"), array("d"), array("b")
-        self.left, self.flag, self.done = 0, GOOD, 0
+        self.left, self.flag, self.done, self.left_out = 0, GOOD, 0, 0
 
     def unfinished(self) -> str:
         """The missing part at the end of the file, "" for none."""
@@ -149,7 +172,9 @@ class _Parser:
 
     def take(self, text: str) -> None:
         """Parse one non-blank line."""
-        if self.header is None:
+        if self.header is not None and not self.left and text[LABEL_AT:].strip() == FIRST_LABEL:
+            self.builder = HeaderBuilder()  # of a file that was joined to this one
+        if self.header is None or not self.builder.ended:
             self.builder.take(text)
             if self.builder.ended:
                 self._start(self.builder.build())
@@ -167,6 +192,10 @@ class _Parser:
                 f"TIME OF FIRST OBS: epochs must be in GPS, Galileo, QZSS or BeiDou time, got {header.time_system}: "
                 "convert the file"
             )
+        if self.header is not None:
+            if header.codes != self.header.codes or header.scale != self.header.scale:
+                raise ValueError("joined files must have the same observation codes: process them one by one")
+            return
         self.header = header
         for system, codes in header.codes.items():
             self.rows[system] = _ObservationRows(codes, [header.scale.get((system, code), 1.0) for code in codes])
@@ -180,7 +209,8 @@ class _Parser:
             assert self.header is not None
             week, tow = _gps_time(text[1:29], BDT_BEHIND_GPS_S if self.header.time_system == "BDT" else 0.0)
             if self.tow and (week, tow) <= (self.week[-1], self.tow[-1]):
-                raise ValueError(f"epochs must increase in time, got {text[1:29].strip()}")
+                self.flag, self.left_out = LEFT_OUT, self.left_out + 1
+                return
             self.week.append(week)
             self.tow.append(tow)
             self.power.append(self.flag == POWER_FAILURE)
@@ -188,7 +218,7 @@ class _Parser:
                 self.done = len(self.tow)
 
     def _below(self, text: str) -> None:
-        if self.flag == CYCLE_SLIPS:
+        if self.flag in (CYCLE_SLIPS, LEFT_OUT):
             return
         if self.flag not in (GOOD, POWER_FAILURE):
             self._event_header(text)
@@ -219,7 +249,7 @@ class _Parser:
         week, tow = np.array(self.week[:n], dtype=np.int64), np.array(self.tow[:n])
         power = np.array(self.power[:n], dtype=np.bool_)
         rows = {system: r.finished(n) for system, r in self.rows.items()}
-        return Observations(self.header, week, tow, power, rows, stopped)
+        return Observations(self.header, week, tow, power, rows, stopped, self.left_out)
 
 
 def _gps_time(text: str, ahead_s: float) -> tuple[int, float]:
@@ -242,7 +272,7 @@ def _gps_time(text: str, ahead_s: float) -> tuple[int, float]:
 
 def _fields(text: str, codes: tuple[str, ...]) -> tuple[list[float], list[int]]:
     """Values and loss-of-lock bits of one satellite line; blank is 0."""
-    if len(text) > 3 + FIELD * len(codes):
+    if text[3 + FIELD * len(codes) :].strip():
         raise ValueError(f"satellite {text[:3]} must have at most {len(codes)} observations, the line is longer")
     values, lost = [], []
     for i, code in enumerate(codes):

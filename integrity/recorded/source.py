@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import math
 import zlib
@@ -65,7 +66,8 @@ class Lines:
                         reason = f"it is longer than {MAX_LINE} bytes" if endless else "it has no line end"
                         self.stop = Stop(self.number, reason)
                         return
-                    yield raw.decode("latin-1").rstrip("\r\n")
+                    marked = self.number == 1 and raw.startswith(codecs.BOM_UTF8)
+                    yield raw[3 * marked :].decode("latin-1").rstrip("\r\n")
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             self.stop = Stop(self.number + 1, f"the compressed stream is damaged ({error})")
         except OSError as error:

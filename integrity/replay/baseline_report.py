@@ -23,9 +23,11 @@ from lanebound.integrity.core.frames import (
 from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
-from lanebound.integrity.recorded.rinex_observation import read_observations
+from lanebound.integrity.recorded.rinex_observation import Observations, read_observations
 from lanebound.integrity.recorded.source import finite_number
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, on_earth, solve_baseline
+from lanebound.integrity.replay.differences import arc_of
+from lanebound.integrity.replay.pair_files import code_places
 from lanebound.integrity.sky.broadcast import Ephemerides, read_navigation
 
 __all__ = ["read_coordinates", "run_baseline", "summarise"]
@@ -65,12 +67,14 @@ def run_baseline(
     rover_data, base_data = read_observations(rover), read_observations(base)
     table = Ephemerides.merged([read_navigation(path) for path in navigation])
     solved = solve_baseline(rover_data, base_data, table, base_ecef_m, config, progress)
-    stops = {"rover": rover_data.stopped, "base": base_data.stopped, "navigation": table.stopped or None}
+    notes = {"rover": rover_data.note, "base": base_data.note, "navigation": table.stopped}
     summary = {
-        "stopped": {name: str(stop) for name, stop in stops.items() if stop is not None},
+        "stopped": {name: note for name, note in notes.items() if note},
         "signals": {"rover": solved.choice.rover, "base": solved.choice.base},
         "base_antenna_ecef_m": solved.base_ecef_m.tolist(),
+        "base_from_codes_m": _distance_to_codes(base_data, table, solved),
         "base_from_header_m": _distance_to_header(solved.base_ecef_m, base_data.header.antenna_ecef_m),
+        "half_cycle_share": {"rover": rover_data.half_cycle_share, "base": base_data.half_cycle_share},
         "antenna_delta_enu_m": {
             "rover": rover_data.header.antenna_delta_enu_m,
             "base": base_data.header.antenna_delta_enu_m,
@@ -85,6 +89,12 @@ def run_baseline(
         writer.writerow(HEAD)
         writer.writerows(_rows(solved))
     return summary, written
+
+
+def _distance_to_codes(base: Observations, table: Ephemerides, solved: Baseline) -> float | None:
+    """Distance of the base from where its own codes put it [m], within some tens of metres; None without positions."""
+    places = code_places(base, arc_of(base, solved.choice.base, solved.choice, table))
+    return float(np.linalg.norm(np.median(places, axis=0) - solved.base_ecef_m)) if len(places) else None
 
 
 def _distance_to_header(place: Array, header: Array | None) -> float | None:

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
+CLOCKS_S = 0.025  # receivers keep their time tags within some milliseconds of GPS time
 LOWEST_RAD = np.deg2rad(3.0)  # the simple troposphere model is not valid below
 
 
@@ -96,10 +97,13 @@ def _at_transmission(observations: Observations, range_m: Array, table: Ephemeri
 
 
 def matched(rover: Observations, base: Observations, oldest_s: float) -> tuple[Ints, Ints, Array]:
-    """Match epochs: indices of rover epochs and of the newest base epoch not after each (0.5 ms tolerance), age [s]."""
+    """Match epochs: indices of rover epochs and of the newest base epoch not after each, age [s].
+
+    Clocks of receivers may differ by CLOCKS_S: an epoch of the base that is later by less is of the same time.
+    """
     week = int(min(rover.week[0], base.week[0]))
     rover_s, base_s = rover.since(week), base.since(week)
-    last = np.searchsorted(base_s, rover_s + 5e-4, side="right") - 1
+    last = np.searchsorted(base_s, rover_s + CLOCKS_S, side="right") - 1
     age = np.where(last >= 0, rover_s - base_s[np.maximum(last, 0)], np.inf)
     keep = np.flatnonzero(age <= oldest_s)
     return keep, last[keep], np.maximum(age[keep], 0.0)

@@ -21,7 +21,7 @@ from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.signal_choice import choose_signals
 from lanebound.integrity.sky.broadcast import Ephemerides, read_navigation
 
-__all__ = ["PairFiles", "find_pair", "navigation_files", "observation_files"]
+__all__ = ["PairFiles", "code_places", "find_pair", "navigation_files", "observation_files"]
 
 NAMES = {"rover": ("rover", "rov", "mobile"), "base": ("base", "ref", "station")}
 MOVES_M = 15.0  # spread of code positions, 90 % of them, of a receiver that moves; noise is a few metres
@@ -121,12 +121,17 @@ def _moving(files: list[Path], navigation: list[Path]) -> list[bool]:
 
 def _spread_m(observations: Observations, arc: Arc) -> float:
     """The distance from their median within which 90 % of some code positions lie [m]; 0 without positions."""
+    places = code_places(observations, arc)
+    if not len(places):
+        return 0.0
+    return float(np.quantile(np.linalg.norm(places - np.median(places, axis=0), axis=1), 0.9))
+
+
+def code_places(observations: Observations, arc: Arc) -> NDArray[np.float64]:
+    """Positions of one receiver from its codes alone at some epochs, without models of the air, (n, 3) [m]."""
     epochs = np.unique(np.linspace(0, observations.epochs - 1, SAMPLES).astype(int))
     places = [place for k in epochs if (place := _code_position(arc, int(k))) is not None]
-    if not places:
-        return 0.0
-    away = np.linalg.norm(np.array(places) - np.median(places, axis=0), axis=1)
-    return float(np.quantile(away, 0.9))
+    return np.array(places).reshape(-1, 3)
 
 
 def _code_position(arc: Arc, k: int) -> NDArray[np.float64] | None:

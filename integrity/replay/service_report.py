@@ -132,15 +132,10 @@ def _rinex_epochs(folder: Path, names: Sequence[str]) -> tuple[ServiceEpochs, fl
         tow = {round(t, 3): k for k, t in enumerate(rover.tow_s.tolist())}
         found = {tow[round(float(solved.tow_s[k]), 3)]: solved.ecef_m[k] for k in np.flatnonzero(solved.fixed)}
         truth = found, "fixed RTK positions of the pair"
-    stops: dict[str, Any] = {
-        "rover": rover.stopped,
-        "base": None if base is None else base.stopped,
-        "navigation": table.stopped,
-    }
+    notes = {"rover": rover.note, "base": "" if base is None else base.note, "navigation": table.stopped}
     epochs = epochs_of_receiver(rover, table, ionosphere, station, truth)
     dt_s = round(float(np.median(np.diff(epochs.time_s))), 3) if rover.epochs > 1 else 1.0
-    early: dict[str, str] = {name: str(stop) for name, stop in stops.items() if stop}
-    return epochs, dt_s, early or None
+    return epochs, dt_s, {name: note for name, note in notes.items() if note} or None
 
 
 def summarise_service(drive: ServiceDrive) -> dict[str, Any]:

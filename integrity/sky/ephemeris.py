@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.systems import System
 
 __all__ = ["Ephemerides"]
@@ -98,6 +99,8 @@ class Ephemerides:
 
         A message that two files contain is listed twice, which changes no position.
         """
+        if not tables:
+            raise InputError("navigation must have one file at least, got none: pass that of the day")
         columns = {
             f.name: np.concatenate([getattr(table, f.name) for table in tables])
             for f in fields(cls)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.sky.rinex_navigation import navigation_text
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS
 
 __all__ = ["Klobuchar", "read_klobuchar"]
@@ -62,8 +63,7 @@ def read_klobuchar(navigation: Sequence[str | Path]) -> Klobuchar | None:
     """
     for path in navigation:
         found: dict[str, tuple[float, ...]] = {}
-        text = Path(path).read_text(encoding="ascii", errors="replace")
-        for line in text.splitlines():
+        for line in navigation_text(path).splitlines():
             label = line[60:80].strip()
             if label == HEADER_END:
                 break

@@ -1,12 +1,14 @@
-"""Reader of RINEX 3 navigation files: GPS, Galileo, BeiDou and QZSS messages as :class:`Ephemerides`.
+"""Reader of RINEX 3 and 4 navigation files: GPS, Galileo, BeiDou and QZSS messages as :class:`Ephemerides`.
 
-Messages of other systems (GLONASS, SBAS, NavIC) are skipped and counted. A truncated file gives the messages before the
-truncation and the place of it. Text that is not RINEX is refused.
+Messages of other systems (GLONASS, SBAS, NavIC) and, in RINEX 4, of other forms (CNAV) are skipped and counted. A
+truncated file gives the messages before the truncation and the place of it. Text that is not RINEX is refused.
 """
 
 from __future__ import annotations
 
+import gzip
 import math
+import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -19,10 +21,11 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.ephemeris import Ephemerides
 from lanebound.integrity.sky.systems import PRN_BEFORE, System
 
-__all__ = ["parse_navigation", "read_navigation"]
+__all__ = ["navigation_text", "parse_navigation", "read_navigation"]
 
 SYSTEMS = {"G": System.GPS, "E": System.GALILEO, "C": System.BEIDOU, "J": System.QZSS}
 OTHERS = {"R": "GLONASS", "S": "SBAS", "I": "NavIC"}
+FORMS = ("LNAV", "INAV", "FNAV", "D1", "D2", "D1D2", "FDMA", "SBAS")  # of RINEX 4 with the lines of RINEX 3
 LARGEST_BYTES = 96 * 2**20  # reading needs 0.7 GiB; one day of all IGS receivers is below 20 MiB
 GPS_START = datetime(1980, 1, 6)
 SECONDS_PER_WEEK = 604_800.0
@@ -69,27 +72,40 @@ class _Message:
 
 
 def read_navigation(path: str | Path) -> Ephemerides:
-    """Read the messages of a RINEX 3 navigation file; see :func:`parse_navigation`.
+    """Read the messages of a RINEX 3 or 4 navigation file, plain or gzip; see :func:`parse_navigation`.
 
     Raises
     ------
     InputError
-        The file cannot be read, is too large, is not a RINEX 3 navigation file, or has a malformed line.
+        The file cannot be read, is too large, is not a RINEX 3 or 4 navigation file, or has a malformed line.
     """
-    file = Path(path)
+    return parse_navigation(navigation_text(path), source=str(path))
+
+
+def navigation_text(path: str | Path) -> str:
+    """The text of a navigation file, plain or gzip (detected by its first bytes).
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is too large.
+    """
     try:
-        if file.stat().st_size > LARGEST_BYTES:
-            raise InputError(f"navigation file {path} must have at most {LARGEST_BYTES} bytes: cut it into days")
-        text = file.read_text(encoding="ascii", errors="strict")
-    except (OSError, UnicodeDecodeError, ValueError) as exc:
-        if isinstance(exc, InputError):
-            raise
-        raise InputError(f"navigation file {path} must be a readable ASCII text file, got: {exc}") from exc
-    return parse_navigation(text, source=str(path))
+        with open(path, "rb") as plain:
+            zipped = plain.read(2) == b"\x1f\x8b"
+        with gzip.open(path, "rb") if zipped else open(path, "rb") as stream:
+            raw = stream.read(LARGEST_BYTES + 1)
+    except (OSError, EOFError, zlib.error, ValueError) as exc:
+        raise InputError(f"navigation file {path} must be a readable text file, got: {exc}") from exc
+    if len(raw) > LARGEST_BYTES:
+        raise InputError(f"navigation file {path} must have at most {LARGEST_BYTES} bytes: cut it into days")
+    return raw.decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
 
 
 def parse_navigation(text: str, source: str = "text") -> Ephemerides:
     """Parse messages of GPS, Galileo, BeiDou and QZSS (RINEX 3.04, tables A6 to A14), in the order of the text.
+
+    RINEX 4 has a line ``> EPH G05 LNAV`` before each message; forms with the lines of RINEX 3 are read.
 
     Times are converted to GPS time (BeiDou time is 14 s behind it). The week of the orbit's reference time is chosen
     such that this time is closest to the reference time of the clock. Week numbers with any rollover are therefore
@@ -100,18 +116,18 @@ def parse_navigation(text: str, source: str = "text") -> Ephemerides:
     InputError
         A line is malformed; the message gives the line, the field and the number of messages read so far.
     """
-    lines = text.splitlines()
+    others: Counter[str] = Counter()
+    lines = _in_old_form(text.splitlines(), others)
     body = _after_header(lines, 0, source)
     rows: list[dict[str, float]] = []
     left_out: list[str] = []
-    others: Counter[str] = Counter()
     stopped = ""
     messages = list(_messages(lines, body, source))
     for message in messages:
         where = f"navigation file {source}, line {message.number} ({len(rows)} messages read)"
         letter = message.lines[0][0]
         if letter in OTHERS:
-            others[letter] += 1
+            others[OTHERS[letter]] += 1
         elif letter not in SYSTEMS:
             raise InputError(f"{where}: a message must start with one of G E C J R S I, got {message.lines[0][:20]!r}")
         elif message is messages[-1] and _is_cut(message):
@@ -122,20 +138,37 @@ def parse_navigation(text: str, source: str = "text") -> Ephemerides:
                 left_out.append(reason)
             else:
                 rows.append(row)
-    left_out += [f"{count} messages of {OTHERS[k]}: this reader does not use them" for k, count in others.items()]
+    left_out += [f"{count} messages of {name}: this reader does not use them" for name, count in others.items()]
     return _table(rows, stopped, tuple(left_out))
 
 
+def _in_old_form(lines: list[str], others: Counter[str]) -> list[str]:
+    """The lines in the form of RINEX 3: record lines of RINEX 4, and what they lead that is read by nothing, are blank.
+
+    Other records (CNAV, system times, ionosphere, ...) are counted in ``others``.
+    """
+    kept, keep = [], True
+    for line in lines:
+        if line.startswith(">"):
+            words = line[1:].split()
+            keep = len(words) == 3 and words[0] == "EPH" and words[2] in FORMS
+            if not keep:
+                others["".join(words[2:3] if words[:1] == ["EPH"] else words[:1]) or "an unknown form"] += 1
+        kept.append(line if keep and not line.startswith(">") else "")
+    return kept
+
+
 def _after_header(lines: list[str], start: int, source: str) -> int:
-    """Index of the first line after the header of a RINEX 3 navigation file that begins at index ``start``."""
+    """Index of the first line after the header of a navigation file that begins at index ``start``."""
     where = f"navigation file {source}, line {start + 1}"
     first = lines[start] if lines else ""
     if first[60:80].strip() != FIRST_LABEL:
         raise InputError(f"{where}: the label 'RINEX VERSION / TYPE' must start in column 61, got {first[:80]!r}")
     version, kind = first[:9].strip(), first[20:21].upper()
-    if not version.startswith("3.") or kind != "N":
+    if not version.startswith(("3.", "4.")) or kind != "N":
         raise InputError(
-            f"{where}: version 3 and type N (navigation) are needed, got {version!r} and {kind!r}: convert the file"
+            f"{where}: version 3 or 4 and type N (navigation) are needed, got {version!r} and {kind!r}: convert the "
+            "file (for instance with gfzrnx), or pass that of navigation messages"
         )
     for i, line in enumerate(lines[start:], start):
         if line[60:80].strip() == "END OF HEADER":

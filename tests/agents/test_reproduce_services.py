@@ -35,10 +35,12 @@ def test_hdop_is_that_of_the_systems_of_the_service() -> None:
     own = (system == int(System.GPS)) & (elevation > np.deg2rad(10.0))
     design = np.column_stack([-los[own], np.ones(own.sum())])
     cofactor = np.linalg.inv(design.T @ design)
-    found = hdop(config, m)
+    found = hdop(config, m, tracked)
     assert found[0] == pytest.approx(np.sqrt(cofactor[0, 0] + cofactor[1, 1]), rel=1e-9)
     assert found[1] == NO_DOP
-    both = hdop(NavigatorConfig(service="spp"), m)
+    both = hdop(NavigatorConfig(service="spp"), m, tracked)
+    assert hdop(config, m, tracked & (np.arange(16) > 3))[0] >= found[0]  # fewer are never better
+    assert (hdop(config, m, np.zeros_like(tracked)) == NO_DOP).all()  # none at all
     assert both[0] < found[0]  # more satellites, and clocks of systems without one do not matter
 
 
@@ -54,6 +56,10 @@ def test_a_small_study_has_all_its_tables(tmp_path: Path) -> None:
     for sky in config.skies:
         geo, both = (result["skies"][sky][case]["corrected"] for case in config.cases)
         assert 0.0 <= geo <= both <= 1.0  # the same drives, and one more way for the messages
+        for case in config.cases:
+            of = result["skies"][sky][case]
+            assert of["available"] <= of["corrected"]
+            assert of["direct_below_3"] <= of["hdop_below_3"]
     assert result["skies"]["open"]["s4_egnos"]["corrected"] == 1.0
     assert result["skies"]["open"]["s4_egnos"]["hdop_below_3"] > 0.9
     assert [row[0] for row in mixed_rows(result)[1]] == ["s4_egnos", "s4_sisnet"]

@@ -142,13 +142,43 @@ def test_a_cut_file_gives_whole_epochs(tmp_path: Path) -> None:
         ("2024 06 24 08 20  0", "2024 13 24 08 20  0", "must lie in"),
         ("20000000.000", "2000000x.000", "C1C of G05 must be a number"),
         ("G05", "X05", "must be of a system"),
-        ("20  1.0", "20  0.0", "must increase in time"),
+        ("RINEX VERSION / TYPE", "CRINEX VERS   / TYPE", "crx2rnx"),
     ],
 )
 def test_damage_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
     text = RINEX.replace(old, new, 1) + rinex_epoch(5.0, rinex_satellite("G05", 2e7))
     with pytest.raises(InputError, match=message):
         read_observations(written(tmp_path, text))
+
+
+def test_epochs_that_are_not_later_are_left_out_and_counted(tmp_path: Path) -> None:
+    again = rinex_epoch(1.0, rinex_satellite("G09", 3e7)) + rinex_epoch(0.0, rinex_satellite("G10", 3e7))
+    found = read_observations(written(tmp_path, RINEX + again + rinex_epoch(2.0, rinex_satellite("G05", 2e7))))
+    assert (found.tow_s - found.tow_s[0]).tolist() == [0.0, 1.0, 2.0]
+    assert found.rows["G"].satellite.tolist() == [5, 7, 5, 5]
+    assert found.left_out == 2
+    assert found.note.startswith("2 epochs left out")
+
+
+def test_joined_files_and_padded_lines(tmp_path: Path) -> None:
+    whole = read_observations(written(tmp_path, RINEX))
+    later = rinex_epoch(2.0, rinex_satellite("G05", 2e7))
+    joined = read_observations(written(tmp_path, RINEX + rinex_header() + later))
+    assert joined.epochs == whole.epochs + 1
+    assert not joined.note
+    other = rinex_header(**{"SYS / # / OBS TYPES": "G    2 C1C L1C"})
+    with pytest.raises(InputError, match="same observation codes"):
+        read_observations(written(tmp_path, RINEX + other + later))
+    padded = "\n".join(line.ljust(200) for line in RINEX.splitlines()) + "\n"
+    marked = read_observations(written(tmp_path, b"\xef\xbb\xbf" + padded.encode()))
+    np.testing.assert_array_equal(marked.rows["G"].value, whole.rows["G"].value)
+
+
+def test_half_cycles_are_counted(tmp_path: Path) -> None:
+    sure, doubtful = rinex_satellite("G05", 2e7, 1e8), rinex_satellite("G07", 2e7, 1e8, lost=2)
+    for phases, share in (((sure, sure), 0.0), ((sure, doubtful), 0.5)):
+        found = read_observations(written(tmp_path, rinex_header() + rinex_epoch(0.0, *phases)))
+        assert found.half_cycle_share == share
 
 
 def test_nothing_useful_is_refused(tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
+from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows, read_observations
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, solve_baseline
 from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline, summarise
 from lanebound.integrity.replay.datasets import kind_of, replay_folder
@@ -204,7 +205,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert refused.exit_code == 2
 
 
-def test_a_base_far_from_its_header_is_noticed(tmp_path: Path) -> None:
+def test_a_base_far_from_its_codes_is_noticed(tmp_path: Path) -> None:
     from lanebound.agents.cli import app
 
     folder = real("rtk_matrtklib_1m_static_30s")
@@ -218,8 +219,30 @@ def test_a_base_far_from_its_header_is_noticed(tmp_path: Path) -> None:
         )
         for off in (0.0, 5000.0)
     )
-    assert "from where the base's header has it" not in near.output
-    assert "note: --base-position is 5.0 km from where the base's header has it" in far.stderr
+    assert "its own codes" not in near.output
+    assert "note: the base is 5.0 km from where its own codes put it" in far.stderr
+
+
+def test_reasons_of_epochs_without_a_fix_and_half_cycles_are_printed(tmp_path: Path) -> None:
+    """All phases of the rover may be off by half a cycle: none is used, no fix, and the output says both."""
+    from lanebound.agents.cli import app
+
+    folder, halves = real("rtk_matrtklib_1m_static_30s"), tmp_path / "rover.obs"
+    rover = read_observations(folder / "rover.obs")
+    lines = (folder / "rover.obs").read_text().splitlines(keepends=True)
+    for k, line in enumerate(lines):
+        codes = rover.rows[line[0]].codes if line[0] in rover.rows and line[1:3].strip().isdigit() else ()
+        for i in (i for i, code in enumerate(codes) if code[0] == "L"):
+            at = 3 + 16 * i + 14
+            if line[at - 14 : at].strip():
+                line = f"{line[:at]}2{line[at + 1 :]}"
+        lines[k] = line
+    halves.write_text("".join(lines))
+    options = ["--rover", str(halves), "--base", str(folder / "base.obs"), "--nav", str(folder / "base.nav")]
+    done = CliRunner().invoke(app, ["rtk", *options, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert f"too_few: {RtkStatus.TOO_FEW.value}" in done.output
+    assert "note: 100 % of the phases of the rover may be off by half a cycle" in done.stderr
 
 
 @pytest.mark.parametrize("text", ["137.0,35.0,100.0", "35.0,400.0,100.0", "1.0,2.0,3e7", "95.0,10.0,50.0"])
@@ -249,3 +272,8 @@ def test_run_needs_no_truth(tmp_path: Path) -> None:
     found, _ = run_baseline(folder / "rover.obs", folder / "base.obs", [folder / "base.nav"], tmp_path)
     assert "errors" not in found
     assert found["fixed"] == 31
+    assert found["base_from_codes_m"] < 100.0
+    assert found["half_cycle_share"] == {"rover": 0.0, "base": 0.0}
+    far = PLACE + 5000.0 * PLACE / np.linalg.norm(PLACE)
+    lost, _ = run_baseline(folder / "rover.obs", folder / "base.obs", [folder / "base.nav"], tmp_path, base_ecef_m=far)
+    assert lost["base_from_codes_m"] > 4000.0

@@ -41,6 +41,9 @@ def test_epochs_are_matched_with_the_newest_before() -> None:
     assert theirs.tolist() == [0] * 5 + [1] * 5
     np.testing.assert_allclose(age, np.tile(np.arange(5) * 0.2, 2), atol=1e-9)
     assert matched(rover, base, 0.25)[0].tolist() == [5, 6, 10, 11]
+    early = replace(rover, tow_s=rover.tow_s - 0.004)  # its clock is behind that of the base by some milliseconds
+    assert [found.tolist() for found in matched(early, base, 30.0)[:2]] == [ours.tolist(), theirs.tolist()]
+    assert matched(early, base, 30.0)[2].min() == 0.0
 
 
 def test_the_troposphere_is_what_it_is_known_to_be() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -107,14 +108,43 @@ def test_broken_text_is_refused_with_line_and_field(text: str, message: str) -> 
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="readable ASCII"):
+    with pytest.raises(InputError, match="readable text"):
         read_navigation(tmp_path / "missing.nav")
     binary = tmp_path / "binary.nav"
     binary.write_bytes(bytes(range(256)))
-    with pytest.raises(InputError, match="readable ASCII"):
+    with pytest.raises(InputError, match="RINEX VERSION / TYPE"):
         read_navigation(binary)
-    with pytest.raises(InputError, match="readable ASCII"):
+    with pytest.raises(InputError, match="readable text"):
         read_navigation("nul\0byte")
+    cut = tmp_path / "cut.nav.gz"
+    cut.write_bytes(gzip.compress((HEADER + GPS_RECORD).encode())[:-20])
+    with pytest.raises(InputError, match="readable text"):
+        read_navigation(cut)
+
+
+def test_compressed_files_and_comments_in_any_language(tmp_path: Path) -> None:
+    first, rest = HEADER.split("\n", 1)
+    text = f"{first}\n{'Münster':60}COMMENT\n{rest}{GPS_RECORD}"
+    file = tmp_path / "brdc.nav"
+    for raw in (text.encode("latin-1"), b"\xef\xbb\xbf" + text.encode(), gzip.compress(text.encode())):
+        file.write_bytes(raw)
+        assert read_navigation(file).prn.tolist() == [4]
+
+
+def test_messages_of_version_4() -> None:
+    """Same messages with a record line each; other records and forms are passed over, whatever follows them."""
+    old = parse_navigation(HEADER + GPS_RECORD)
+    other = (
+        "> ION G04 LNAV\n    1.0 2.0\n> STO G\n    1.0\n"
+        + GPS_RECORD.replace("G04", "> EPH G04 CNAV\nG04")
+        + "    1.0\n"
+    )
+    new = parse_navigation(HEADER.replace("3.04", "4.00") + other + "> EPH G04 LNAV\n" + GPS_RECORD)
+    assert new.toe_s.tolist() == old.toe_s.tolist()
+    assert new.root_a.tolist() == old.root_a.tolist()
+    assert sorted(new.left_out) == [
+        f"1 messages of {name}: this reader does not use them" for name in ("CNAV", "ION", "STO")
+    ]
 
 
 def read_or_refused(text: str) -> Ephemerides:
