@@ -89,8 +89,7 @@ def test_every_page_is_listed_in_the_index() -> None:
     lost = [
         page
         for page in PAGES[1:]
-        if page.name != "index.md"
-        and f"]({page.name})" not in (page.parent / "index.md").read_text(encoding="utf-8")
+        if page.name != "index.md" and f"]({page.name})" not in (page.parent / "index.md").read_text(encoding="utf-8")
     ]
     assert lost == []
     assert "](results/index.md)" in (ROOT / "docs/index.md").read_text(encoding="utf-8")

@@ -168,11 +168,6 @@ class RoadMap:
         """Length of each link (L,)."""
         return np.asarray(np.bincount(self.segments.link, self.segments.length_m, self.links), np.float64)
 
-    @cached_property
-    def index_of(self) -> dict[int, int]:
-        """Link of each identity."""
-        return {int(name): i for i, name in enumerate(self.identity)}
-
     # Routes
 
     @cached_property
