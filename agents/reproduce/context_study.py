@@ -43,7 +43,6 @@ Bools = NDArray[np.bool_]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce", "lanebound.envs.sky")
 THRESHOLDS = np.arange(0.0, 101.0)
-MAPS = ("true", "with errors")
 ASSUMED = "assumed"
 Judge = tuple[str, str]
 """A map and a matcher; or ASSUMED and the name of an assumption."""

@@ -18,10 +18,10 @@ from lanebound.agents.learning.experiment import load_experiment
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
-PAGES = (README, *sorted((ROOT / "docs").glob("*.md")))
+PAGES = (README, *sorted((ROOT / "docs").rglob("*.md")))
 SNIPPETS = tuple(page for page in PAGES if ">>>" in page.read_text(encoding="utf-8"))
 LINE, WORDS = 140, 1500
-every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
 
 @pytest.mark.parametrize("page", SNIPPETS, ids=lambda page: page.name)
@@ -85,8 +85,14 @@ def test_links_lead_to_files_and_headings_that_exist(page: Path) -> None:
 
 
 def test_every_page_is_listed_in_the_index() -> None:
-    index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
-    assert [page.name for page in PAGES[1:] if page.name != "index.md" and f"]({page.name})" not in index] == []
+    """A folder's pages in the index of that folder, the index of the results in that of the docs."""
+    lost = [
+        page
+        for page in PAGES[1:]
+        if page.name != "index.md" and f"]({page.name})" not in (page.parent / "index.md").read_text(encoding="utf-8")
+    ]
+    assert lost == []
+    assert "](results/index.md)" in (ROOT / "docs/index.md").read_text(encoding="utf-8")
 
 
 @every_page

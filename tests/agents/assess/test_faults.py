@@ -49,7 +49,7 @@ def test_every_fault_is_in_the_campaign() -> None:
 
 
 def test_the_study_of_the_package_tries_all_its_kinds() -> None:
-    """The kinds, sizes and profiles of docs/results.md."""
+    """The kinds, sizes and profiles of docs/results/faults.md."""
     cells = cells_of(FaultsConfig())
     assert len(cells) == 148
     assert {c.kind for c in cells if c.profile == "ramp"} == {

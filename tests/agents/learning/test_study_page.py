@@ -13,6 +13,7 @@ from lanebound.agents.learning.study_page import markdown, overview, packed, sum
 
 DOCS = Path(__file__).parents[3] / "docs"
 NAME = "value_of_integrity"
+RESULTS = DOCS / "results" / "learning-study.md"
 
 
 def test_the_page_is_up_to_date() -> None:
@@ -20,12 +21,11 @@ def test_the_page_is_up_to_date() -> None:
     trainings = unpacked(DOCS / f"{NAME}.json")
     study = load_study(NAME)
     assert (DOCS / f"{NAME}.md").read_text(encoding="utf-8") == markdown(NAME, study, trainings)
-    assert overview(study, summed_up(study, trainings).places) in (DOCS / "results.md").read_text(encoding="utf-8")
+    assert overview(study, summed_up(study, trainings).places) in RESULTS.read_text(encoding="utf-8")
 
 
 def test_every_interval_in_the_results_is_one_of_the_page() -> None:
-    text = (DOCS / "results.md").read_text(encoding="utf-8")
-    section = text.partition("## The value of integrity for learning")[2].partition("\n## ")[0]
+    section = RESULTS.read_text(encoding="utf-8")
     page = (DOCS / f"{NAME}.md").read_text(encoding="utf-8")
     quoted = re.findall(r"-?[\d.]+ \[-?[\d.]+, -?[\d.]+\](?:, p [\d.e-]*\d)?", " ".join(section.split()))
     assert len(quoted) > 5

@@ -145,7 +145,7 @@ def test_a_folder_without_a_drive_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_levels_with_fitted_bounds_hold_on_the_berlin_drive_where_the_plain_model_fails(tmp_path: Path) -> None:
-    """At a risk of 1e-3 no epoch exceeds; the plain model fails in more than 1 % (docs/results.md)."""
+    """At a risk of 1e-3 no epoch exceeds; the plain model fails in more than 1 % (docs/results/recorded-drives.md)."""
     folder = real("smartloc_berlin_potsdamer")
     found, written = write_city(folder, tmp_path, CityReplay(every=5))
     trained, plain = found["solutions"]["overbound"], found["solutions"]["gaussian_epoch"]
