@@ -43,6 +43,7 @@ INFO: dict[str, str] = {
     "cost_lane": "true body beyond its lane, times distance [m2]",
     "cost_lane_integrity": "believed body and its protection level beyond the lane, times distance [m2]",
     "cost_headway": "time with less than the safe distance ahead, weighted by how much [s]",
+    "cost_conflict": "peak severity of conflicts with vehicles whose courses cross, 1 at no time between both [-]",
     "cost_alert": "time driven too fast or changing lane while an alert is older than the time to alert [s]",
     "cost_hmi": "time with hazardously misleading information [s]",
     "cost_context": "time driven too fast or changing lane under a warning of the context monitor [s]",
