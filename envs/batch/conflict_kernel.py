@@ -82,9 +82,7 @@ def _least_s(car, lanes, i, own, theirs, past_s, least):  # type: ignore[no-unty
         for k in range(first, last):
             b = k * STEP_S
             later = max(a, b) - min(a, b, 0.0)
-            if later < least and _overlap(
-                car, i, pose, _pose(car, lanes, i, theirs[0] + car.speed[i] * b, theirs[1])
-            ):
+            if later < least and _overlap(car, i, pose, _pose(car, lanes, i, theirs[0] + car.speed[i] * b, theirs[1])):
                 least = later
     return least
 

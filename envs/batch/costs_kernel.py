@@ -2,8 +2,8 @@
 
 Symbols: v speed over ground [m/s], dt length of a policy step [s], W and L width and length of the car, w width of the
 lane, d lateral offset from the middle of the lane. Costs are >= 0, and but for misleading information 0 for a car at
-rest in its lane and in nobody's way; each is an integral over time, or 1 once, so that halving the policy's rate leaves an episode's cost
-as it is.
+rest in its lane and in nobody's way; each is an integral over time, or 1 once, so that halving the policy's rate leaves
+an episode's cost as it is.
 
 ``cost_collision``  1 in the step of a crash.
 ``cost_off_road``  1 in the step in which the car has left the road, or driven against its lane for too long.

@@ -26,8 +26,8 @@ GIVEN, SENSED = 0, 1  # sources of the ego's position
 TERMS = ("progress", "lane_centre", "comfort", "collision", "base")
 """Terms of the reward."""
 CAUSES = (
-    "cost_collision", "cost_off_road", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_conflict", "cost_alert",
-    "cost_hmi", "cost_context",
+    "cost_collision", "cost_off_road", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_conflict",
+    "cost_alert", "cost_hmi", "cost_context",
 )  # fmt: skip
 """Costs by cause."""
 
