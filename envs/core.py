@@ -105,6 +105,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_lane` | 1 | `out v dt`; out: largest distance of a corner of the body beyond the lane, at most 2 m |
     | `cost_lane_integrity` | 0.1 | `out v dt`; out: `max(0, abs(d_est) + PL_CT + W/2 - w/2)`, at most 2 m |
     | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt; see below |
+    | `cost_conflict` | 10 | peak of `max(0, 1 - T2 / 1.5 s)` in each conflict of crossing courses; see below |
     | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds half the limit |
     | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
     | `cost_context` | 0 | dt while the context monitor warns and the car changes lane or exceeds half the limit |
@@ -113,13 +114,19 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
       true gap and true speeds. The larger one counts.
     - Safe distance: `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with
       rho = 0.5 s, a = 2, b_min = 4 and b_max = 6 m/s2.
+    - T2 is the time until the second of two vehicles is where the first one is or just was, if both go on along their
+      lanes at their true speeds: the time to collision, or the post-encroachment time when the first one leaves
+      (Laureshyn et al. 2017; 1.5 s: Hyden 1987, FHWA-RD-03-050). Courses cross at more than 30 degrees (SSAM). Who has
+      the right of way does not count. At 10 m/s a T2 of 1.5 s asks 3.3 m/s2 of the other driver, as much as is
+      comfortable. Only Intersection and Roundabout have crossing courses. The weight is chosen: 10 is the cost of 10 m
+      driven a metre beyond the lane.
     - A missing protection level counts as 2 m across the track and as 40 m of the gap. A vehicle ahead that is nearer
       than `d_RSS` and is not perceived costs dt.
     - During a commanded lane change both lanes count as the lane. Where lanes meet or fork the body may stand on each
       of them. With `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0.
-    - A car at rest in its lane can only have `cost_hmi`. Ending an episode early by a crash or off the road (200)
-      never pays: that costs more than any `cost_limit` and more than an average drive of `nominal` (at most 190, in
-      UrbanCanyon).
+    - A car at rest in its lane and in nobody's way can only have `cost_hmi`. Ending an episode early by a crash or off
+      the road (200) never pays: that costs more than any `cost_limit` and more than an average drive of `nominal` (at
+      most 190, in UrbanCanyon).
     - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
 
     ## Info

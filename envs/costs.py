@@ -23,9 +23,15 @@ class CostConfig(Config):
     lane: float = Field(1.0, ge=0, description="weight of cost_lane [1/m^2]")
     lane_integrity: float = Field(0.1, ge=0, description="weight of cost_lane_integrity [1/m^2]; a risk, no harm yet")
     headway: float = Field(0.5, ge=0, description="weight of cost_headway [1/s]")
+    conflict: float = Field(
+        10.0, ge=0, description="weight of cost_conflict [-]; as 10 m driven a metre beyond the lane, chosen"
+    )
     alert: float = Field(0.5, ge=0, description="weight of cost_alert [1/s]")
     hmi: float = Field(5.0, ge=0, description="weight of cost_hmi [1/s]; what integrity is to prevent")
     context: float = Field(0.0, ge=0, description="weight of cost_context [1/s]; 0: a warning costs nothing")
+    conflict_s: float = Field(
+        1.5, gt=0, le=5, description="T2 below which a crossing is a conflict; Hyden 1987, FHWA-RD-03-050"
+    )
     response_s: float = Field(0.5, gt=0, le=3, description="response time rho of the RSS distance; Shalev-Shwartz 2017")
     accelerate_mps2: float = Field(2.0, ge=0, description="acceleration during the response; RSS, comfort")
     brake_min_mps2: float = Field(4.0, gt=0, description="braking that the ego is sure to reach; RSS, IEEE 2846 survey")

@@ -6,13 +6,17 @@ has one slot from its entry into the world to its exit; the next vehicle in that
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.episodes import Episodes, empty_cars
+from lanebound.envs.batch.lanes_kernel import NONE
 from lanebound.envs.batch.navigation import FLEET_STARTS, fleet_generator
+from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.wander import Wander
 
 __all__ = ["Seats"]
@@ -107,3 +111,15 @@ class Seats:
             cars.speed[0, :n] = [v.speed for v in vehicles]
             cars.lane[0, :n] = [row[v.lane_index] for v in vehicles]
             cars.crashed[0, :n] = [v.crashed for v in vehicles]
+            if self.episodes.table.has_crossings:
+                cars.onward[0, :n] = [_onward(v, row) for v in vehicles]
+
+
+def _onward(vehicle: Vehicle, row: Mapping[LaneIndex, int]) -> int:
+    """The lane that the route of a vehicle goes on to from the end of its lane; NONE without one."""
+    _, end, side = vehicle.lane_index
+    for start, to, chosen in getattr(vehicle, "route", None) or ():
+        if start == end:
+            wanted = side if chosen is None else chosen
+            return row.get((start, to, wanted), row.get((start, to, 0), NONE))
+    return NONE

@@ -2,8 +2,8 @@
 
 Symbols: v speed over ground [m/s], dt length of a policy step [s], W and L width and length of the car, w width of the
 lane, d lateral offset from the middle of the lane. Costs are >= 0, and but for misleading information 0 for a car at
-rest in its lane; each is an integral over time, or 1 once, so that halving the policy's rate leaves an episode's cost
-as it is.
+rest in its lane and in nobody's way; each is an integral over time, or 1 once, so that halving the policy's rate leaves
+an episode's cost as it is.
 
 ``cost_collision``  1 in the step of a crash.
 ``cost_off_road``  1 in the step in which the car has left the road, or driven against its lane for too long.
@@ -13,6 +13,8 @@ PL_CT; about the outer edges of both lanes during a change; 0 without a lane to 
 ``cost_headway``  ``max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt``, at most dt; a missing level counts as 40 m.
 No less than ``max(0, 1 - gap / d_RSS) dt`` in TRUTH, and dt while a vehicle is that near and none perceived ahead. To
 lose sight of a leader, or its level, saves nothing, and to be alone costs nothing.
+``cost_conflict``  ``max(0, 1 - T2 / 1.5 s)`` at the peak of a conflict with vehicles whose courses cross the car's, in
+TRUTH; T2: time until the second one is where the first one is or just was (:mod:`.conflict_kernel`).
 ``cost_alert``  dt while an alert is older than the TTA and the car drives faster than permitted or changes lane.
 ``cost_context``  dt while the context monitor warns and the car drives faster than permitted or changes lane.
 ``cost_hmi``  dt times the share of the step's epochs whose information is hazardously misleading on either axis.
@@ -26,6 +28,7 @@ from __future__ import annotations
 
 import math
 
+from lanebound.envs.batch.conflict_kernel import second_arrival_s
 from lanebound.envs.batch.lanes_kernel import NONE, STRAIGHT, local, of_side, straight, width_at
 from lanebound.integrity.core.accel import jit
 
@@ -204,6 +207,15 @@ def _headway(b, car, seen, count, lanes, c):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
+def _conflict(car, sc, lanes, c, dt):  # type: ignore[no-untyped-def]
+    """By how much a conflict of crossing courses has become more severe in a step: in sum the peak of each conflict."""
+    severity = max(1.0 - second_arrival_s(car, lanes, c.conflict_s, dt) / c.conflict_s, 0.0)
+    more = max(severity - sc.conflict, 0.0) if dt > 0.0 else 0.0
+    sc.conflict = max(severity, sc.conflict) if severity > 0.0 else 0.0
+    return more
+
+
+@jit(borrows=True)
 def price(b, sc, car, seen, count, lanes, rules, dt, out):  # type: ignore[no-untyped-def]
     """Fill the costs of a step by cause, and their weighted sum; ``out`` holds the verdict already."""
     keep, speed, c = rules.keep_lane != 0, abs(car.speed[0]), rules.costs
@@ -217,11 +229,12 @@ def price(b, sc, car, seen, count, lanes, rules, dt, out):  # type: ignore[no-un
     out.cost_lane = beyond * speed * dt
     out.cost_lane_integrity = doubt * speed * dt
     out.cost_headway = _headway(b, car, seen, count, lanes, c) * dt
+    out.cost_conflict = _conflict(car, sc, lanes, c, dt)
     out.cost_alert = dt if late and (fast or sc.leaving_side >= 0) else 0.0
     out.cost_hmi = out.hmi_share * dt
     out.cost_context = dt if b.context_warning != 0 and (fast or sc.leaving_side >= 0) else 0.0
     total = c.collision * out.cost_collision + c.off_road * out.cost_off_road + c.lane * out.cost_lane
     total += c.lane_integrity * out.cost_lane_integrity
-    total += c.headway * out.cost_headway
+    total += c.headway * out.cost_headway + c.conflict * out.cost_conflict
     total += c.alert * out.cost_alert
     out.cost = total + c.hmi * out.cost_hmi + c.context * out.cost_context

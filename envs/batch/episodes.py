@@ -21,6 +21,7 @@ from lanebound.envs.batch import rows_kernel as rk
 from lanebound.envs.batch import view_kernel as vk
 from lanebound.envs.batch.belief_kernel import Fixes
 from lanebound.envs.batch.lanes import LaneTable
+from lanebound.envs.batch.lanes_kernel import NONE
 from lanebound.envs.batch.navigation import NavigationBatch, Starts, fixes_of
 from lanebound.envs.batch.perception import PerceptionBatch, perceives
 from lanebound.envs.batch.records_kernel import BELIEF, COMMAND, FACTS, OUTCOME, SCORE, TRACK, Cars, Ego
@@ -46,7 +47,8 @@ def empty_cars(count: int, vehicles: int) -> Cars:
     shape = count, vehicles
     numbers: list[Any] = [np.zeros(shape) for _ in range(6)]
     wholes: list[Any] = [np.zeros(shape, dtype=np.int64) for _ in range(2)]
-    return Cars(np.zeros(count, dtype=np.int64), *[*numbers, *wholes, np.full(shape, -1, dtype=np.int64)])
+    none: list[Any] = [np.full(shape, NONE, dtype=np.int64) for _ in range(2)]
+    return Cars(np.zeros(count, dtype=np.int64), *[*numbers, *wholes, *none])
 
 
 def reach_of(config: EnvConfig) -> Reach:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
 from math import ceil, cos, hypot, sin
 from typing import Any
 
@@ -14,6 +16,7 @@ from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
 from lanebound.envs.batch import lanes_kernel as lk
+from lanebound.envs.batch.conflict_kernel import CROSSING_COS
 from lanebound.envs.batch.lanes_kernel import Lanes
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.lanes import CurveLane
@@ -42,6 +45,11 @@ class LaneTable:
     lanes: Lanes
     index: tuple[LaneIndex, ...]
     row: dict[LaneIndex, int]
+
+    @cached_property
+    def has_crossings(self) -> bool:
+        """Whether any lanes cross each other."""
+        return bool(self.lanes.table["crossed"].any())
 
     @property
     def goes_one_way(self) -> bool:
@@ -105,7 +113,27 @@ def _build(roads: list[tuple[str, str, Row]]) -> LaneTable:
     for n, onward in reversed(list(enumerate(table["onward"]))):
         if onward >= 0:
             table["before"][onward] = n
+    table["crossed"] = _crossed([lane for _, _, row in roads for lane in row], table["road"])
     return LaneTable(Lanes(table, *parts.arrays), index, {lane: n for n, lane in enumerate(index)})
+
+
+def _crossed(lanes: Row, road: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which lanes overlap one of another road at an angle, by points of their centrelines 2 m apart."""
+    poses = []
+    for lane in lanes:
+        stations = np.linspace(0.0, lane.length, ceil(lane.length / NODE_STEP_M) + 1)
+        poses.append(np.array([(*lane.position(s, 0.0), lane.heading_at(s)) for s in stations]))
+    low, high = (np.array([of(p[:, :2], axis=0) for p in poses]) for of in (np.min, np.max))
+    out = np.zeros(len(lanes), dtype=np.bool_)
+    for a, b in combinations(range(len(lanes)), 2):
+        reach = 0.5 * (lanes[a].width_at(0.0) + lanes[b].width_at(0.0))
+        if road[a] == road[b] or np.any(low[a] - high[b] > reach) or np.any(low[b] - high[a] > reach):
+            continue
+        away = poses[a][:, None, :] - poses[b][None, :, :]
+        beside = np.hypot(away[..., 0], away[..., 1]) < reach
+        if np.any(beside & (np.cos(away[..., 2]) < CROSSING_COS)):
+            out[a] = out[b] = True
+    return out
 
 
 class _Column:

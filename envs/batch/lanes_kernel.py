@@ -51,6 +51,7 @@ LANE = record(
     count=("i8", "number of lanes of the road"),
     onward=("i8", "lane of the same number on the only road that goes on, NONE where there is no such lane"),
     before=("i8", "lane whose onward lane this is, NONE for no lane"),
+    crossed=("i8", "1 where a lane of another road overlaps this one at more than 30 degrees"),
     joint_first=("i8", "first row of the joints of the road"),
     joint_last=("i8", "row after the last joint"),
     amplitude_m="of a sine lane",

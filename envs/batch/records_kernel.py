@@ -26,8 +26,8 @@ GIVEN, SENSED = 0, 1  # sources of the ego's position
 TERMS = ("progress", "lane_centre", "comfort", "collision", "base")
 """Terms of the reward."""
 CAUSES = (
-    "cost_collision", "cost_off_road", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_alert", "cost_hmi",
-    "cost_context",
+    "cost_collision", "cost_off_road", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_conflict",
+    "cost_alert", "cost_hmi", "cost_context",
 )  # fmt: skip
 """Costs by cause."""
 
@@ -37,7 +37,8 @@ class Cars(NamedTuple):
 
     present: number of vehicles, which are in the first places; x, y [m], heading [rad], speed [m/s]; length, width [m];
     lane: row of the lane that a vehicle is on; crashed: 1 after a crash; slot: row of the vehicle in everything that
-    has a row for each of C slots, -1 for none.
+    has a row for each of C slots, -1 for none; onward: row of the lane that its route goes on to, NONE where the lane
+    itself says so.
     """
 
     present: Rows
@@ -50,6 +51,7 @@ class Cars(NamedTuple):
     lane: Rows
     crashed: Rows
     slot: Rows
+    onward: Rows
 
 
 @jit(inline=True)
@@ -57,7 +59,7 @@ def cars_of(cars, e):  # type: ignore[no-untyped-def]
     """The vehicles of environment e."""
     return Cars(
         cars.present[e], cars.x[e], cars.y[e], cars.heading[e], cars.speed[e], cars.length[e], cars.width[e],
-        cars.lane[e], cars.crashed[e], cars.slot[e],
+        cars.lane[e], cars.crashed[e], cars.slot[e], cars.onward[e],
     )  # fmt: skip
 
 
@@ -163,6 +165,7 @@ SCORE = record(
     corridor_side=("i8", "number of that lane"),
     leaving_side=("i8", "number of the lane that a commanded change comes from, NONE without a change"),
     change_s="time spent changing beyond that spent in a lane",
+    conflict="largest severity of the conflict that goes on, 0 without one",
     observed=("i8", "observations since the start"),
 )
 
@@ -228,9 +231,11 @@ COST_FIGURES = record(
     lane="weight of cost_lane [1/m^2]",
     lane_integrity="weight of cost_lane_integrity [1/m^2]",
     headway="weight of cost_headway [1/s]",
+    conflict="weight of cost_conflict [-]",
     alert="weight of cost_alert [1/s]",
     hmi="weight of cost_hmi [1/s]",
     context="weight of cost_context [1/s]",
+    conflict_s="time below which a crossing is a conflict",
     response_s="response time of the RSS distance",
     accelerate_mps2="acceleration during the response",
     brake_min_mps2="braking that the ego is sure to reach",

@@ -38,7 +38,7 @@ def cars_at(
 
 
 def _cars(places: int, present: int) -> Cars:
-    return Cars(present, *_columns(places, 6, 3))  # type: ignore[arg-type]
+    return Cars(present, *_columns(places, 6, 3), np.full(places, -1))  # type: ignore[arg-type]
 
 
 def _columns(places: int, numbers: int, wholes: int) -> list[Any]:

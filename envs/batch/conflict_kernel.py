@@ -1,0 +1,106 @@
+"""Conflicts where courses cross: how soon the second of two vehicles is where the first one is, or just was.
+
+Two vehicles go on along their lanes, at their speeds. Let the body of the ego at time a and that of the other vehicle
+at time b overlap (now: 0). Both are there from ``max(a, b)`` on, so the least of it over all such pairs is the time T2
+at which the second one arrives at the conflict area (Laureshyn, de Ceunynck et al., Accid. Anal. Prev. 98, 46-56,
+2017). On a collision course it is the time to collision; when the first one leaves it is the post-encroachment time.
+Times down to the last decision count as well, ``max(a, b) - min(a, b, 0)``, so that an encroachment between two
+decisions is not missed.
+
+Courses cross where the headings differ by more than 30 degrees (SSAM, FHWA-HRT-08-051: less is lane change or
+rear-end); those are conflicts of headway.
+"""
+
+from __future__ import annotations
+
+import math
+
+from lanebound.envs.batch.lanes_kernel import heading_at, local, place
+from lanebound.integrity.core.accel import jit
+
+__all__ = ["CROSSING_COS", "second_arrival_s"]
+
+STEP_S = 0.1
+CROSSING_COS = math.cos(math.radians(30.0))
+
+
+@jit(inline=True)
+def _onward(car, lanes, i):  # type: ignore[no-untyped-def]
+    """The lane that a vehicle goes on to, by its route or as the only one; NONE without one."""
+    return car.onward[i] if car.onward[i] >= 0 else lanes.table[car.lane[i]].onward
+
+
+@jit(borrows=True)
+def _may_cross(car, lanes, i):  # type: ignore[no-untyped-def]
+    """Whether other lanes cross that of a vehicle, or the one that it goes on to."""
+    onward = _onward(car, lanes, i)
+    return lanes.table[car.lane[i]].crossed != 0 or (onward >= 0 and lanes.table[onward].crossed != 0)
+
+
+@jit(borrows=True)
+def _pose(car, lanes, i, s, r):  # type: ignore[no-untyped-def]
+    """Middle and direction of a vehicle at a station of its lane, or of the next one past its end, at an offset."""
+    n, onward = car.lane[i], _onward(car, lanes, i)
+    length = lanes.table[n].length_m
+    if s > length and onward >= 0:
+        n, s = onward, s - length
+    x, y = place(lanes, n, s, r)
+    return x, y, heading_at(lanes, n, s)
+
+
+@jit(borrows=True)
+def _apart(dx, dy, nx, ny, car, i, angle, other):  # type: ignore[no-untyped-def]
+    """Whether the shadows of two bodies on a unit normal do not meet; ``angle`` and ``other``: their headings."""
+    reach = 0.5 * car.length[0] * abs(nx * math.cos(angle) + ny * math.sin(angle))
+    reach += 0.5 * car.width[0] * abs(ny * math.cos(angle) - nx * math.sin(angle))
+    reach += 0.5 * car.length[i] * abs(nx * math.cos(other) + ny * math.sin(other))
+    reach += 0.5 * car.width[i] * abs(ny * math.cos(other) - nx * math.sin(other))
+    return abs(nx * dx + ny * dy) > reach
+
+
+@jit(borrows=True)
+def _overlap(car, i, own, theirs):  # type: ignore[no-untyped-def]
+    """Whether the bodies of the ego and of vehicle i meet at an angle; poses (x, y, heading)."""
+    dx, dy, angle, other = theirs[0] - own[0], theirs[1] - own[1], own[2], theirs[2]
+    square = (car.length[0] + car.length[i]) ** 2 + (car.width[0] + car.width[i]) ** 2
+    if 4.0 * (dx * dx + dy * dy) > square or math.cos(other - angle) > CROSSING_COS:
+        return False
+    for side in range(4):
+        heading = (angle if side < 2 else other) + 0.5 * math.pi * (side % 2)
+        if _apart(dx, dy, math.cos(heading), math.sin(heading), car, i, angle, other):
+            return False
+    return True
+
+
+@jit(borrows=True)
+def _least_s(car, lanes, i, own, theirs, past_s, least):  # type: ignore[no-untyped-def]
+    """T2 with vehicle i, ``least`` at most; own and theirs: station and offset on their lanes now."""
+    first, last = -math.ceil(past_s / STEP_S), math.ceil(least / STEP_S)
+    for m in range(first, last):
+        a = m * STEP_S
+        pose = _pose(car, lanes, 0, own[0] + car.speed[0] * a, own[1])
+        for k in range(first, last):
+            b = k * STEP_S
+            later = max(a, b) - min(a, b, 0.0)
+            if later < least and _overlap(car, i, pose, _pose(car, lanes, i, theirs[0] + car.speed[i] * b, theirs[1])):
+                least = later
+    return least
+
+
+@jit(borrows=True)
+def second_arrival_s(car, lanes, horizon_s, past_s):  # type: ignore[no-untyped-def]
+    """The least T2 of the true ego with another vehicle that drives, ``horizon_s`` at most.
+
+    ``past_s``: time since the last decision.
+    """
+    least = horizon_s
+    if not _may_cross(car, lanes, 0):
+        return least
+    own = local(lanes, car.lane[0], car.x[0], car.y[0])
+    for i in range(1, car.present):
+        reach = horizon_s * (abs(car.speed[0]) + abs(car.speed[i])) + car.length[0] + car.length[i]
+        near = math.hypot(car.x[i] - car.x[0], car.y[i] - car.y[0]) < reach
+        if near and car.crashed[i] == 0 and _may_cross(car, lanes, i):
+            theirs = local(lanes, car.lane[i], car.x[i], car.y[i])
+            least = _least_s(car, lanes, i, own, theirs, past_s, least)
+    return least
