@@ -12,7 +12,7 @@ This needs attributes of Numba that its documentation does not promise (``NEEDED
 them compiles plain ``numba.njit`` functions, with all wrappers.
 """
 
-# mypy: allow-untyped-calls
+# mypy: allow-untyped-calls, allow-untyped-decorators
 
 from __future__ import annotations
 
