@@ -12,7 +12,7 @@ This needs attributes of Numba that its documentation does not promise (``NEEDED
 them compiles plain ``numba.njit`` functions, with all wrappers.
 """
 
-# mypy: allow-untyped-calls
+# mypy: allow-untyped-calls, allow-untyped-decorators
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba.core import sigutils
+from numba.core import sigutils, types
 from numba.core.caching import CacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.compiler import Flags
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
+from numba.extending import lower_cast
 
 __all__ = ["Kernel", "address_of", "kernel_of"]
 
@@ -89,9 +90,10 @@ class Kernel(CPUDispatcher):
         self._cache = _KernelCache(self)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Numba's: types of a call by another kernel, which needs no wrapper."""
+        """Numba's: types of a call by another kernel, which needs no wrapper and is compiled once for similar types."""
+        general = tuple(map(_general, args)), {name: _general(kind) for name, kind in kws.items()}
         with self._form(INNER):
-            return super().get_call_template(args, kws)
+            return super().get_call_template(*general)
 
     def compile(self, sig: Any) -> Any:
         """Compile for a signature: with the wrapper, unless another kernel is the caller."""
@@ -140,6 +142,19 @@ class Kernel(CPUDispatcher):
 def _is_outer(result: Any) -> bool:
     """Whether a compiled function has a wrapper for Python."""
     return bool(result.library.get_pointer_to_function(result.fndesc.llvm_cpython_wrapper_name))
+
+
+def _general(kind: Any) -> Any:
+    """The type for which a kernel is compiled: that of any number for a constant, and of any array for a record's."""
+    if isinstance(kind, types.NestedArray):
+        return types.Array(kind.dtype, kind.ndim, "C")
+    return types.unliteral(kind)
+
+
+@lower_cast(types.NestedArray, types.Array)
+def _as_array(context: Any, builder: Any, kind: Any, wanted: Any, value: Any) -> Any:
+    """Code that passes an array of a record as any array: both are represented alike."""
+    return value
 
 
 @contextmanager

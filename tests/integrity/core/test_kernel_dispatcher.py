@@ -136,3 +136,19 @@ def test_a_version_of_numba_without_a_needed_attribute_compiles_plain_functions(
     again = fresh()
     assert again.plus(2) == 3
     assert sum(again.plus.stats.cache_hits.values()) == 1, "cached on disk"
+
+
+def test_constants_and_arrays_of_records_share_the_form_for_numbers_and_arrays():
+    @kd.kernel_of
+    def pick(values, k, doubled):
+        return values[k] * (2.0 if doubled else 1.0)
+
+    @kd.kernel_of
+    def total(records, values, k):
+        record = records[0]
+        return pick(record.place, 0, True) + pick(record.place, 2, False) + pick(values, k, k > 1)
+
+    records = np.zeros(1, np.dtype([("number", "f8"), ("place", "f8", (3,))], align=True))
+    records["place"] = 1.0, 2.0, 3.0
+    assert total(records, np.array([10.0, 20.0]), 1) == 2.0 + 3.0 + 20.0
+    assert list(pick.overloads) == [(types.float64[::1], types.int64, types.boolean)]
