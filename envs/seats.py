@@ -9,15 +9,12 @@ from __future__ import annotations
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.vehicle.kinematics import Vehicle
-from numpy.typing import NDArray
 
 from lanebound.envs.batch.episodes import Episodes, empty_cars
 from lanebound.envs.batch.navigation import FLEET_STARTS, fleet_generator
 from lanebound.envs.worlds.wander import Wander
 
 __all__ = ["Seats"]
-
-Array = NDArray[np.float64]
 
 
 class Seats:
