@@ -81,7 +81,7 @@ def fit_errors(dataset: Path | None, sky: str | None, config: FitErrorsConfig) -
     path = np.concatenate([p.shadowed[ok] for _, ok, p in found if p.shadowed is not None]) if mapped else None
     method = f"{config.form.value} overbound of {config.sides.value} sides; {error.size} errors of lanebound fit-errors"
     classes = _classes(error, cn0, elevation, path, config, f"{source}; {method}")
-    fitted = FittedErrors.load({"classes": classes.to_dict(), **_position_laws(parts, classes)})
+    fitted = FittedErrors.load({"classes": classes.to_dict(), **_position_laws(parts)})
     return fitted, {"errors": int(error.size), "laws": _laws(error)}
 
 
@@ -160,7 +160,7 @@ def _law(error: Array, count: int, config: FitErrorsConfig) -> dict[str, Any]:
     return ErrorLaw(count=count, centre_m=centre, sigma_m=max(sigma, 1e-3), bias_m=bias).to_dict()
 
 
-def _position_laws(parts: Sequence[TrackedEpochs], classes: ErrorClasses) -> dict[str, float]:
+def _position_laws(parts: Sequence[TrackedEpochs]) -> dict[str, float]:
     """Rayleigh and Pareto laws of the horizontal error over the deviation stated for the codes."""
     ratios = []
     for part in parts:

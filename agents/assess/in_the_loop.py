@@ -158,10 +158,10 @@ def _summary(config: InTheLoopConfig, streets: Sequence[Mapping[str, Any]]) -> d
         found["trust"] = rate_by_street(beyond, with_trust) | {
             "epochs": int(with_trust.sum()), "below": float(near.sum() / with_trust.sum()),
         }  # fmt: skip
-    return found | {"modes": _modes(config, epochs, exceed, mode, along, across)}
+    return found | {"modes": _modes(epochs, exceed, mode, along, across)}
 
 
-def _modes(config: InTheLoopConfig, epochs: Any, exceed: Any, mode: Any, along: Any, across: Any) -> dict[str, Any]:
+def _modes(epochs: Any, exceed: Any, mode: Any, along: Any, across: Any) -> dict[str, Any]:
     """Share, median operative levels, and rates at the first risk, by mode."""
     return {
         m.name.lower(): {
