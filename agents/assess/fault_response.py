@@ -91,12 +91,11 @@ def drive_run(
     seeds: Sequence[int],
     duration_s: float,
     faults: Sequence[Fault] | Callable[[SkyTrack], Sequence[Fault]] = (),
-    mask: SkyMask | None = None,
 ) -> Run:
     """Drive a loop of city streets, one vehicle for each seed; ``faults`` may be a function of the sky."""
     track = SkyTrack.from_config(config.sky, duration_s + 60.0)
     schedule = FaultSchedule(faults(track) if callable(faults) else faults)
-    navigator = Navigator(config, track, mask or SkyMask.open(), list(seeds), faults=schedule)
+    navigator = Navigator(config, track, SkyMask.open(), list(seeds), faults=schedule)
     road = Road.through(np.array(LOOP_M), corner_radius_m=25.0, closed=True, lane_count=2, lane_width_m=3.25)
     car, traffic = CityDrive(road, DriveConfig(), config.dt_s), Streams(list(seeds))
     state = car.start(traffic, spread_m=road.length_m)

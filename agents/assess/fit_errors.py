@@ -195,14 +195,14 @@ def _laws(error: Array) -> dict[str, Any]:
     return rows
 
 
-def dirichlet_mixture(error_m: Array, most: int = 8, seed: int = 0) -> NormalMixture | None:
+def dirichlet_mixture(error_m: Array) -> NormalMixture | None:
     """Dirichlet-process mixture by variational Bayes; None without scikit-learn, which is an optional package."""
     try:
         from sklearn.mixture import BayesianGaussianMixture
     except ImportError:
         return None
     model = BayesianGaussianMixture(
-        n_components=most, weight_concentration_prior_type="dirichlet_process", random_state=seed, max_iter=5000,
+        n_components=8, weight_concentration_prior_type="dirichlet_process", random_state=0, max_iter=5000,
         tol=1e-3,
     )  # fmt: skip
     model.fit(error_m[:, None])
