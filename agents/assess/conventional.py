@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.assess.in_the_loop import rate_by_street
-from lanebound.agents.assess.street_drives import StreetDrivesConfig, street_of, work_streets
+from lanebound.agents.assess.street_drives import PACKAGES, StreetDrivesConfig, street_of, work_streets
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
@@ -43,7 +43,6 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
-PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 SOLUTION, REFERENCE = "rover_rtk.pos", "reference.csv"  # files of the folder, as in nagoya_drive_rtk
 EVERY_S = 0.2  # between epochs of the conventional solution, as recorded
 MATCHED_S = 0.02  # largest time between a solution and its reference

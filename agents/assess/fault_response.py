@@ -15,7 +15,7 @@ from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
-from lanebound.integrity.sensors.faults import Fault, FaultSchedule
+from lanebound.integrity.sensors.faults import ROUNDING_S, Fault, FaultSchedule
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
@@ -26,7 +26,6 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-ROUNDING_S = 1e-6
 LOOP_M = ((0.0, 0.0), (600.0, 100.0), (900.0, 700.0), (200.0, 800.0), (-200.0, 400.0))
 
 

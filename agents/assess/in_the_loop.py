@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.assess.street_drives import DriveMoment, StreetDrivesConfig, drive_street, work_streets
+from lanebound.agents.assess.street_drives import PACKAGES, DriveMoment, StreetDrivesConfig, drive_street, work_streets
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
@@ -34,11 +34,10 @@ __all__ = [
     "work_street",
 ]
 
-PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 AXES = ("along", "across")
 RESAMPLES, CONFIDENCE = 2000, 0.95
 SAMPLE_S = 1.0  # between the levels that medians are taken of
-NO_LEVEL_M = 1e4  # in place of a missing level, for medians
+NO_LEVEL_M = 1e4  # in place of a missing level, for quantiles
 NEAR_M = 7.0  # a trust level below it (S4 section III-E)
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from lanebound.agents.assess.informativeness_figure import auc_figure
-from lanebound.agents.assess.street_drives import DriveMoment, StreetDrivesConfig, drive_street, work_streets
+from lanebound.agents.assess.street_drives import PACKAGES, DriveMoment, StreetDrivesConfig, drive_street, work_streets
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
@@ -35,7 +35,6 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
-PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 SAMPLE_S = 1.0  # between samples of a vehicle
 LONGEST_S = 1e4  # in place of the age of an RTK position that never was
 RESAMPLES, CONFIDENCE = 2000, 0.95

@@ -33,6 +33,7 @@ __all__ = ["DriveMoment", "StreetDrivesConfig", "drive_street", "road_of", "stre
 
 Array = NDArray[np.float64]
 
+PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")  # that results depend on
 WEEK_S = 604_800
 BLOCKS_M = (120.0, 320.0)  # lengths of the straight parts of a street
 AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG = 4.0, 3.0  # as in the environments
