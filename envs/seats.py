@@ -11,7 +11,6 @@ from collections.abc import Mapping
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.vehicle.kinematics import Vehicle
-from numpy.typing import NDArray
 
 from lanebound.envs.batch.episodes import Episodes, empty_cars
 from lanebound.envs.batch.lanes_kernel import NONE
@@ -20,8 +19,6 @@ from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.wander import Wander
 
 __all__ = ["Seats"]
-
-Array = NDArray[np.float64]
 
 
 class Seats:

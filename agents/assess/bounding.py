@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.agents.assess.bounding_summary import summarise
 from lanebound.agents.checkpointing.files import write_json
@@ -28,7 +27,6 @@ from lanebound.integrity.monitoring.risk import RiskConfig, pair_risk
 
 __all__ = ["BoundingConfig", "assess_bounding", "part_names", "work_part"]
 
-Array = NDArray[np.float64]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.assess")
 CASES_IN_PART = 10

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.assess.in_the_loop import rate_by_street
-from lanebound.agents.assess.street_drives import StreetDrivesConfig, street_of
+from lanebound.agents.assess.street_drives import PACKAGES, StreetDrivesConfig, street_of, work_streets
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
-from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.integrity.assessment.availability import find_outages
 from lanebound.integrity.assessment.conventional_rtk import (
     ConventionalRtkConfig,
@@ -37,13 +37,12 @@ from lanebound.integrity.recorded.rtklib import FIXED, FLOAT, read_reference, re
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
-__all__ = ["RtkRealismConfig", "assess_rtk", "navigator_rows", "rtk_rows", "sky_rows", "work_part"]
+__all__ = ["RtkRealismConfig", "assess_rtk", "navigator_rows", "rtk_rows", "sky_rows", "work_street"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
-PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 SOLUTION, REFERENCE = "rover_rtk.pos", "reference.csv"  # files of the folder, as in nagoya_drive_rtk
 EVERY_S = 0.2  # between epochs of the conventional solution, as recorded
 MATCHED_S = 0.02  # largest time between a solution and its reference
@@ -82,13 +81,9 @@ def assess_rtk(
     """
     recorded = recorded_figures(folder)
     ResultFolder(out, "realism of RTK", config.to_dict(), code_digest(*PACKAGES)).claim()
-    names = [f"{k}-{i}" for k in range(len(config.skies)) for i in range(config.streets)]
-    parts = run_parts(out, names, partial(work_part, config), jobs, on_progress)
-    skies = {}
-    for k, sky in enumerate(config.skies):
-        streets = [part for name, part in parts.items() if name.startswith(f"{k}-")]
-        skies[sky] = simulated_figures(streets)
-    shares = {sky: found["satellites"]["share"] for sky, found in skies.items()}
+    found = work_streets(config, config.streets, work_street, out, jobs, on_progress)
+    skies = {sky: simulated_figures(streets) for sky, streets in found.items()}
+    shares = {sky: one["satellites"]["share"] for sky, one in skies.items()}
     nearest = min(shares, key=lambda sky: abs(shares[sky] - recorded["satellites"]["share"]))
     result = {"config": config.to_dict(), "recorded": recorded, "skies": skies, "nearest": nearest}
     write_json(out / "results.json", result)
@@ -123,10 +118,9 @@ def recorded_figures(folder: Path) -> dict[str, Any]:
     return figures(truth.tow_s, outcome[:, None], off[:, None, :2], satellites[:, None], speed[:, None])
 
 
-def work_part(config: RtkRealismConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
+def work_street(config: RtkRealismConfig, sky: str, number: int, advance: Advance = ignore) -> dict[str, Any]:
     """Drive one street: conventional solutions (T, B), and counts of the navigator's levels; it depends on no other."""
-    sky, number = (int(text) for text in name.split("-"))
-    navigator, drive = street_of(config, config.skies[sky], number)
+    navigator, drive = street_of(config, sky, number)
     dt = navigator.config.dt_s
     first, epochs = (round(time_s / dt) for time_s in (config.warm_up_s, config.span_s))
     every, solved = max(round(EVERY_S / dt), 1), []

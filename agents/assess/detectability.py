@@ -17,7 +17,6 @@ from scipy.special import chdtri, chndtr
 from lanebound.agents.assess.bounding_summary import rate_of
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.detection import (
-    Adjustment,
     adjust,
     diagonal_covariance,
     minimal_detectable_bias,
@@ -58,7 +57,7 @@ def detectability(fde: FdeConfig, satellites: int, draws: int, seed: int = 1) ->
     rows = []
     for factor in FACTORS:
         count = each * (1 if factor else FREE_DRAWS)
-        faulty, observed = _observed(rng, silent, variance, factor * least, count)
+        faulty, observed = _observed(rng, variance, factor * least, count)
         rows.append(_row(fde, (design, variance), faulty, observed, size, factor))
         rows[-1]["theory"] = float(1.0 - chndtr(float(chdtri(1, size)), 1, factor * factor * lambda0))
     return {"satellites": satellites, "redundancy": int(silent.df[0]), "alpha": fde.alpha, "by_factor": rows}
@@ -82,9 +81,7 @@ def _geometries(rng: np.random.Generator, satellites: int) -> tuple[Array, Array
     return np.array(designs), np.array(variances)
 
 
-def _observed(
-    rng: np.random.Generator, silent: Adjustment, variance: Array, bias: Array, count: int
-) -> tuple[NDArray[np.int64], Array]:
+def _observed(rng: np.random.Generator, variance: Array, bias: Array, count: int) -> tuple[NDArray[np.int64], Array]:
     """The faulty satellite (K, D) and observations (K, D, n) with its bias, of either sign."""
     shape = (GEOMETRIES, count, variance.shape[-1])
     faulty = rng.integers(shape[-1], size=shape[:2])

@@ -15,7 +15,7 @@ from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
-from lanebound.integrity.sensors.faults import Fault, FaultSchedule
+from lanebound.integrity.sensors.faults import ROUNDING_S, Fault, FaultSchedule
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
@@ -26,7 +26,6 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-ROUNDING_S = 1e-6
 LOOP_M = ((0.0, 0.0), (600.0, 100.0), (900.0, 700.0), (200.0, 800.0), (-200.0, 400.0))
 
 
@@ -91,12 +90,11 @@ def drive_run(
     seeds: Sequence[int],
     duration_s: float,
     faults: Sequence[Fault] | Callable[[SkyTrack], Sequence[Fault]] = (),
-    mask: SkyMask | None = None,
 ) -> Run:
     """Drive a loop of city streets, one vehicle for each seed; ``faults`` may be a function of the sky."""
     track = SkyTrack.from_config(config.sky, duration_s + 60.0)
     schedule = FaultSchedule(faults(track) if callable(faults) else faults)
-    navigator = Navigator(config, track, mask or SkyMask.open(), list(seeds), faults=schedule)
+    navigator = Navigator(config, track, SkyMask.open(), list(seeds), faults=schedule)
     road = Road.through(np.array(LOOP_M), corner_radius_m=25.0, closed=True, lane_count=2, lane_width_m=3.25)
     car, traffic = CityDrive(road, DriveConfig(), config.dt_s), Streams(list(seeds))
     state = car.start(traffic, spread_m=road.length_m)

@@ -81,7 +81,7 @@ def fit_errors(dataset: Path | None, sky: str | None, config: FitErrorsConfig) -
     path = np.concatenate([p.shadowed[ok] for _, ok, p in found if p.shadowed is not None]) if mapped else None
     method = f"{config.form.value} overbound of {config.sides.value} sides; {error.size} errors of lanebound fit-errors"
     classes = _classes(error, cn0, elevation, path, config, f"{source}; {method}")
-    fitted = FittedErrors.load({"classes": classes.to_dict(), **_position_laws(parts, classes)})
+    fitted = FittedErrors.load({"classes": classes.to_dict(), **_position_laws(parts)})
     return fitted, {"errors": int(error.size), "laws": _laws(error)}
 
 
@@ -160,7 +160,7 @@ def _law(error: Array, count: int, config: FitErrorsConfig) -> dict[str, Any]:
     return ErrorLaw(count=count, centre_m=centre, sigma_m=max(sigma, 1e-3), bias_m=bias).to_dict()
 
 
-def _position_laws(parts: Sequence[TrackedEpochs], classes: ErrorClasses) -> dict[str, float]:
+def _position_laws(parts: Sequence[TrackedEpochs]) -> dict[str, float]:
     """Rayleigh and Pareto laws of the horizontal error over the deviation stated for the codes."""
     ratios = []
     for part in parts:
@@ -195,14 +195,14 @@ def _laws(error: Array) -> dict[str, Any]:
     return rows
 
 
-def dirichlet_mixture(error_m: Array, most: int = 8, seed: int = 0) -> NormalMixture | None:
+def dirichlet_mixture(error_m: Array) -> NormalMixture | None:
     """Dirichlet-process mixture by variational Bayes; None without scikit-learn, which is an optional package."""
     try:
         from sklearn.mixture import BayesianGaussianMixture
     except ImportError:
         return None
     model = BayesianGaussianMixture(
-        n_components=most, weight_concentration_prior_type="dirichlet_process", random_state=seed, max_iter=5000,
+        n_components=8, weight_concentration_prior_type="dirichlet_process", random_state=0, max_iter=5000,
         tol=1e-3,
     )  # fmt: skip
     model.fit(error_m[:, None])

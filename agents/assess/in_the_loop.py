@@ -8,17 +8,16 @@ exceedance, the interval is the exact one of the share of streets that have any.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.assess.street_drives import DriveMoment, StreetDrivesConfig, drive_street
+from lanebound.agents.assess.street_drives import PACKAGES, DriveMoment, StreetDrivesConfig, drive_street, work_streets
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
-from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.integrity.assessment.bounding import clopper_pearson
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.streams import named_generator
@@ -32,14 +31,13 @@ __all__ = [
     "mode_rows",
     "rate_by_street",
     "trust_rows",
-    "work_part",
+    "work_street",
 ]
 
-PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 AXES = ("along", "across")
 RESAMPLES, CONFIDENCE = 2000, 0.95
 SAMPLE_S = 1.0  # between the levels that medians are taken of
-NO_LEVEL_M = 1e4  # in place of a missing level, for medians
+NO_LEVEL_M = 1e4  # in place of a missing level, for quantiles
 NEAR_M = 7.0  # a trust level below it (S4 section III-E)
 
 
@@ -73,23 +71,18 @@ def assess_in_the_loop(
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
     ResultFolder(out, "bounding in the loop", config.to_dict(), code_digest(*PACKAGES)).claim()
-    names = [f"{k}-{i}" for k in range(len(config.skies)) for i in range(config.streets)]
-    parts = run_parts(out, names, partial(work_part, config), jobs, on_progress)
-    skies = {
-        sky: _summary(config, [part for name, part in parts.items() if name.startswith(f"{k}-")])
-        for k, sky in enumerate(config.skies)
-    }
+    found = work_streets(config, config.streets, work_street, out, jobs, on_progress)
+    skies = {sky: _summary(config, streets) for sky, streets in found.items()}
     result = {"config": config.to_dict(), "skies": skies}
     write_json(out / "results.json", result)
     return result
 
 
-def work_part(config: InTheLoopConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
+def work_street(config: InTheLoopConfig, sky: str, number: int, advance: Advance = ignore) -> dict[str, Any]:
     """Drive one street; it does not depend on others."""
-    sky, number = (int(text) for text in name.split("-"))
     tally, sampled = _Tally(config), []
     every = round(SAMPLE_S / config.navigator.dt_s)
-    for k, moment in enumerate(drive_street(config.with_levels(), config.skies[sky], number, advance)):
+    for k, moment in enumerate(drive_street(config.with_levels(), sky, number, advance)):
         tally.count(moment)
         if k % every == 0:
             sampled.append(_sample(moment))
@@ -158,10 +151,10 @@ def _summary(config: InTheLoopConfig, streets: Sequence[Mapping[str, Any]]) -> d
         found["trust"] = rate_by_street(beyond, with_trust) | {
             "epochs": int(with_trust.sum()), "below": float(near.sum() / with_trust.sum()),
         }  # fmt: skip
-    return found | {"modes": _modes(config, epochs, exceed, mode, along, across)}
+    return found | {"modes": _modes(epochs, exceed, mode, along, across)}
 
 
-def _modes(config: InTheLoopConfig, epochs: Any, exceed: Any, mode: Any, along: Any, across: Any) -> dict[str, Any]:
+def _modes(epochs: Any, exceed: Any, mode: Any, along: Any, across: Any) -> dict[str, Any]:
     """Share, median operative levels, and rates at the first risk, by mode."""
     return {
         m.name.lower(): {

@@ -12,7 +12,6 @@ each mode, fitted by ridge regression: logistic for the error, least squares for
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +20,21 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from lanebound.agents.assess.informativeness_figure import auc_figure
-from lanebound.agents.assess.street_drives import DriveMoment, StreetDrivesConfig, drive_street
+from lanebound.agents.assess.street_drives import PACKAGES, DriveMoment, StreetDrivesConfig, drive_street, work_streets
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
-from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.positioning.modes import Mode
 
-__all__ = ["InformativenessConfig", "assess_informativeness", "informativeness_rows", "work_part"]
+__all__ = ["InformativenessConfig", "assess_informativeness", "informativeness_rows", "work_street"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
-PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 SAMPLE_S = 1.0  # between samples of a vehicle
 LONGEST_S = 1e4  # in place of the age of an RTK position that never was
 RESAMPLES, CONFIDENCE = 2000, 0.95
@@ -66,23 +64,18 @@ def assess_informativeness(
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
     ResultFolder(out, "informativeness of levels", config.to_dict(), code_digest(*PACKAGES)).claim()
-    names = [f"{k}-{i}" for k in range(len(config.skies)) for i in range(config.streets)]
-    parts = run_parts(out, names, partial(work_part, config), jobs, on_progress)
-    cells = []
-    for k, sky in enumerate(config.skies):
-        streets = [part for name, part in parts.items() if name.startswith(f"{k}-")]
-        cells.append({"sky": sky} | compare(streets, config.error_m))
+    found = work_streets(config, config.streets, work_street, out, jobs, on_progress)
+    cells = [{"sky": sky} | compare(streets, config.error_m) for sky, streets in found.items()]
     result = {"config": config.to_dict(), "cells": cells}
     write_json(out / "results.json", result)
     save(auc_figure(cells), out / "informativeness.svg")
     return result
 
 
-def work_part(config: InformativenessConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
+def work_street(config: InformativenessConfig, sky: str, number: int, advance: Advance = ignore) -> dict[str, Any]:
     """Samples of one street; they do not depend on others."""
-    (sky, number), found = name.split("-"), []
-    every = round(SAMPLE_S / config.navigator.dt_s)
-    for k, moment in enumerate(drive_street(config, config.skies[int(sky)], int(number), advance)):
+    every, found = round(SAMPLE_S / config.navigator.dt_s), []
+    for k, moment in enumerate(drive_street(config, sky, number, advance)):
         if k % every == 0:
             found.append(_sample(moment))
     columns = np.concatenate(found).T

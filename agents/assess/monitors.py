@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.assess.fit_errors import FitErrorsConfig, fit_errors
-from lanebound.agents.assess.in_the_loop import rate_by_street
+from lanebound.agents.assess.in_the_loop import NO_LEVEL_M, rate_by_street
 from lanebound.agents.assess.monitor_campaign import CampaignConfig, run_campaign
 from lanebound.agents.assess.monitored_drives import simulated_epochs
-from lanebound.agents.assess.street_drives import StreetDrivesConfig
+from lanebound.agents.assess.street_drives import PACKAGES, StreetDrivesConfig
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
@@ -37,9 +37,7 @@ from lanebound.integrity.sky.systems import System
 __all__ = ["MonitorsConfig", "assess_monitors", "monitor_rows", "place_counts", "predicted_rows", "work_part"]
 
 Array = NDArray[np.float64]
-PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 WHOLE, AFTER = "whole drive", "after training"
-NO_LEVEL_M = 1e4  # in place of a missing level, for quantiles
 PREDICTED = {"GPS": (System.GPS,), "GPS and Galileo": (System.GPS, System.GALILEO), "all": tuple(System)}
 PUBLISHED_HAL_M, PUBLISHED_FALSE_ALARM, PUBLISHED_MISSED = 50.0, 5e-3, 5e-5  # S3 V-B1 [17], toll collection
 MOST_SAMPLES = 4000  # epochs of a part that diagrams show

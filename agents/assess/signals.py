@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.agents.assess.labelled_signals import compare_paths, paths_figure
 from lanebound.agents.assess.signal_residuals import SignalResiduals, labelled, recorded, simulated, without_clock
@@ -30,7 +29,6 @@ from lanebound.integrity.sensors.gnss import GnssConfig
 
 __all__ = ["SignalsConfig", "assess_signals", "signal_rows"]
 
-Array = NDArray[np.float64]
 LEAST_CODES = 20  # of a class that is shown
 CN0_DBHZ = (0.0, 25.0, 32.0, 38.0, 43.0, 60.0)
 ELEVATION_DEG = (0.0, 30.0, 60.0, 90.0)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.checkpointing.runner import Advance, ignore
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.envs.sky import SkyLevel
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.frames import track_from_enu_matrix
@@ -27,10 +29,11 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
-__all__ = ["DriveMoment", "StreetDrivesConfig", "drive_street", "road_of", "street_of"]
+__all__ = ["DriveMoment", "StreetDrivesConfig", "drive_street", "road_of", "street_of", "work_streets"]
 
 Array = NDArray[np.float64]
 
+PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")  # that results depend on
 WEEK_S = 604_800
 BLOCKS_M = (120.0, 320.0)  # lengths of the straight parts of a street
 AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG = 4.0, 3.0  # as in the environments
@@ -64,6 +67,35 @@ class StreetDrivesConfig(Config):
     def navigator_in(self, sky: str) -> NavigatorConfig:
         """The navigator with the instruments of a sky."""
         return SkyLevel.named(sky).navigator(self.navigator)
+
+
+C = TypeVar("C", bound=StreetDrivesConfig)
+
+
+def work_streets(
+    config: C,
+    streets: int,
+    work: Callable[[C, str, int, Advance], dict[str, Any]],
+    out: Path,
+    jobs: int = 1,
+    on_progress: OnProgress = ignore,
+) -> dict[str, list[dict[str, Any]]]:
+    """The data of the streets of each sky: those in ``out``, and ``work(config, sky, number, advance)`` of the others.
+
+    ``work`` must be picklable with more than one job, and a street must not depend on others.
+    """
+    names = [f"{k}-{number}" for k in range(len(config.skies)) for number in range(streets)]
+    parts = run_parts(out, names, partial(_work_part, work, config), jobs, on_progress)
+    return {
+        sky: [part for name, part in parts.items() if name.startswith(f"{k}-")] for k, sky in enumerate(config.skies)
+    }
+
+
+def _work_part(
+    work: Callable[[C, str, int, Advance], dict[str, Any]], config: C, name: str, advance: Advance = ignore
+) -> dict[str, Any]:
+    sky, number = (int(text) for text in name.split("-"))
+    return work(config, config.skies[sky], number, advance)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from lanebound.agents.bench.ambiguity import drifting_problems
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
 from lanebound.integrity.core.accel import serial
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring.araim import AraimConfig, enu_levels
+from lanebound.integrity.monitoring.araim import AraimConfig, levels_at
 from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 from lanebound.integrity.positioning import lambda_kernel as kernel
 from lanebound.integrity.positioning.ambiguity import NODE_LIMIT
@@ -45,7 +45,8 @@ def _levels(rounds: int) -> list[Row]:
 
     def ours() -> tuple[Array, Array]:
         with serial():
-            return enu_levels(los, group, variance, accuracy, bias, RULES, modes)
+            up, plane = levels_at(los, group, variance, accuracy, bias, RULES, modes, np.ones(1))
+        return up[:, 0], plane[:, 0]
 
     up, plane = ours()
     apart = [

@@ -16,15 +16,14 @@ from lanebound.agents.episodes import EpisodeLog, drive
 from lanebound.agents.episodes.drive import Watcher
 from lanebound.agents.episodes.guard import AgentFailure, Clock, Guarded, error_text, guarded
 from lanebound.envs.core import DrivingEnv
+from lanebound.envs.scene import duration_s
 
 __all__ = ["allotted_s", "run_episode"]
-
-ENDLESS_S = 300.0  # of an environment without a duration
 
 
 def allotted_s(env: DrivingEnv) -> float:
     """Longest time of an episode [s]."""
-    return float(env.config.duration_s or env.world.config.get("duration", ENDLESS_S))
+    return duration_s(env.config, env.world)
 
 
 def run_episode(

@@ -83,14 +83,14 @@ def gains_of(episodes: Sequence[Array], rtk_s: float) -> Array:
     return np.concatenate(gains)
 
 
-def growth_of(gains: Array, bins: int = BINS) -> tuple[float, Array, Array]:
+def growth_of(gains: Array) -> tuple[float, Array, Array]:
     """Power p of time, factors (2,) of the medians ``g t^p`` and of the quantiles of nine in ten, along and across [m].
 
     The medians across are those at GROWTH_SPEED_MPS, to whose share of speed the gains are proportional.
     The power is that of both axes together, by least squares of the logarithms of the medians in bins of time; the
     upper factors are the largest over the bins.
     """
-    edges = np.geomspace(0.25, LONGEST_S, bins + 1)
+    edges = np.geomspace(0.25, LONGEST_S, BINS + 1)
     gains = gains[gains[:, 3] > SLOWEST_MPS]
     scaled = gains[:, 1:3] / np.column_stack([np.ones(len(gains)), gains[:, 3] / GROWTH_SPEED_MPS])
     logs, upper = [], []

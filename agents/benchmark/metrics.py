@@ -38,7 +38,6 @@ class Metric:
     take : value of an episode; None where it has none: the episode does not count for this metric
     rate : values are 0 or 1
     bounds : of the values
-    wall_clock : measured in real time, so that it differs from run to run
     """
 
     key: str
@@ -49,7 +48,6 @@ class Metric:
     take: Take
     rate: bool = False
     bounds: Bounds = NOT_NEGATIVE
-    wall_clock: bool = False
 
 
 def went_off_road(outcome: Outcome) -> bool:
@@ -185,9 +183,9 @@ INTEGRITY = (
 )
 SOLVING = (
     Metric("solve_median", "solve time", "ms", "lower", "median time of a decision",
-           _driven(attrgetter("solve_ms_median")), wall_clock=True),
+           _driven(attrgetter("solve_ms_median"))),
     Metric("solve_p99", "solve time 99 %", "ms", "lower", "99 % quantile of the time of a decision",
-           _driven(attrgetter("solve_ms_p99")), wall_clock=True),
+           _driven(attrgetter("solve_ms_p99"))),
     _share("infeasible", "infeasible", "lower",
            "share of decisions without a command that meets the agent's constraints",
            _share_of_decisions("infeasible")),

@@ -66,6 +66,8 @@ def drive(
     With a context monitor (--display, or navigator.context among --set) DIR has a log of its warnings.
 
     Example: lanebound drive LaneKeeping --sky dense --faults stress --seed 1 --video out/drive.mp4 --out out/drive
+    \f
+    More than 12 parameters: each is an option of the command line.
     """
     from lanebound.agents.cli.early import refuse_early, refuse_film
 

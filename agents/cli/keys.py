@@ -29,21 +29,20 @@ CHOSEN_BY_KIND = ("navigator",)
 """Keys of an environment that are those of a chosen kind: only keys that no kind has are refused here."""
 
 
-def refuse_keys(root: str, changes: Mapping[str, Any], path: str = "") -> None:
+def refuse_keys(root: str, changes: Mapping[str, Any]) -> None:
     """Refuse keys that a configuration does not have, and numbers out of their bounds; all else is checked later.
 
     Parameters
     ----------
     root : a key of ``ROOTS``
     changes : as :func:`~lanebound.agents.cli.options.changes` returns them
-    path : in front of every key in messages
 
     Raises
     ------
     ConfigError
         As the configuration itself would refuse it later.
     """
-    _refuse(_known()[root], changes, path)
+    _refuse(_known()[root], changes, "")
 
 
 def _refuse(known: Mapping[str, Any], changes: Mapping[str, Any], path: str) -> None:

@@ -126,6 +126,8 @@ def evaluate(
     """Drive a learnt policy on the test seeds, beside other agents.
 
     Example: lanebound evaluate out/learnt --out out/learnt-evaluation --seeds 20
+    \f
+    More than 12 parameters: each is an option of the command line.
     """
     from lanebound.agents.cli.benchmark import carry_out
     from lanebound.agents.learning.evaluation import evaluation_suite

@@ -26,7 +26,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.barrier import BarrierFilter
+from lanebound.agents.drivers.barrier import WALK_MPS, BarrierFilter
 from lanebound.agents.drivers.base import Observation, Reader, Starts, States
 from lanebound.agents.drivers.horizon import predicted_levels, upper_broadcast, upper_levels
 from lanebound.agents.drivers.lateral import LqrSteering, errors
@@ -44,7 +44,6 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 TIMES_KEPT = 100_000
 SLACK_M = 0.01  # less is not counted
-WALK_MPS = 1.0  # at lower speeds steering has no effect
 
 
 class LevelMpc(Nominal):

@@ -177,7 +177,7 @@ def run_promise(
     ordered = [name for batch in zip(*names.values(), strict=True) for name in batch]
     drive_one = partial(drive_named, config)
     found = run_parts(out, ordered, drive_one, jobs, on_progress, size=lambda name: len(_seeds(name)))
-    result = {group: summarise_promise(config, [found[name] for name in names[group]]) for group in GROUPS}
+    result = {group: summarise_promise([found[name] for name in names[group]]) for group in GROUPS}
     result["one fault"]["by_fault"] = _by_fault(config, result["one fault"]["crashed_seeds"])
     write_json(out / "promise.json", result)
     return result
@@ -217,7 +217,7 @@ def drive_named(config: BarrierPromiseConfig, name: str, advance: Advance = igno
     return drive_part(config, group, _seeds(name), advance)
 
 
-def summarise_promise(config: BarrierPromiseConfig, parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def summarise_promise(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Sums over the parts of a group, and rates per decision and per hour of driving."""
     counts, exceptions, filtered = (Counter[str]() for _ in range(3))
     for part in parts:

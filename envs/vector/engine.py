@@ -32,7 +32,6 @@ from lanebound.integrity.core.streams import ZIGGURAT
 
 __all__ = ["Engine"]
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 VEHICLE_FRAME_US, FINISH_US, EPOCH_US = 0.06, 5.0, 4.0  # of one thread, measured
 PREPARED = 8  # episodes at least that are prepared together; up to so many take hardly longer than one

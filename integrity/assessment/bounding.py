@@ -89,12 +89,10 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def bounding_by_mode(record: Record, confidence: float = 0.95) -> dict[str, dict[Axis, dict[str, Any]]]:
+def bounding_by_mode(record: Record) -> dict[str, dict[Axis, dict[str, Any]]]:
     """``{mode key: {"at": {...}, "ct": {...}}}`` for the modes that occur, as JSON data."""
     return {
-        mode.key: {
-            axis: asdict(measure_bounding(record.error(axis)[keep], record.pl(axis)[keep], confidence)) for axis in AXES
-        }
+        mode.key: {axis: asdict(measure_bounding(record.error(axis)[keep], record.pl(axis)[keep])) for axis in AXES}
         for mode in record.modes_present()
         for keep in [record.mode == mode]
     }

@@ -19,7 +19,6 @@ from lanebound.integrity.core.errors import InputError
 __all__ = ["PUBLISHED_COUNTS", "WarningCounts", "WarningSweep", "sweep_thresholds"]
 
 Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 PUBLISHED_COUNTS = {"urban": (14, 8, 1245), "rural": (10, 16, 3335), "mixed": (11, 19, 1105)}
 """False alarms, missed detections, points; S5 Tables 2 and 3."""

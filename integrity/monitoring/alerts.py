@@ -20,7 +20,7 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring import alerts_kernel as kernel
-from lanebound.integrity.monitoring.alerts_kernel import ALERT_RULES
+from lanebound.integrity.monitoring.alerts_kernel import ALERT_RULES, EPS_S
 
 __all__ = [
     "ALERT_LIMITS",
@@ -37,7 +37,6 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 K_ACCURACY = 1.96  # two-sided 95 % of N(0, 1), S1 eq 22
-EPS_S = 1e-9  # a hold of 1 s lasts ten epochs of 0.1 s, whatever they sum to
 
 
 class AlertReason(OpenAdvice):

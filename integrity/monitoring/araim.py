@@ -17,23 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.config import Config, Field
-from lanebound.integrity.core.errors import require_shape
 from lanebound.integrity.monitoring.araim_kernel import AraimEpochs, ModeTables, level_modes
-from lanebound.integrity.monitoring.fault_modes import FaultModes, enumerate_faults
+from lanebound.integrity.monitoring.fault_modes import FaultModes
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig
-from lanebound.integrity.monitoring.separation import Separation, separate
 
-__all__ = [
-    "AraimConfig",
-    "AraimLevels",
-    "SortedModes",
-    "araim",
-    "checked_levels",
-    "enu_levels",
-    "levels_at",
-    "vertical_separation",
-]  # fmt: skip
+__all__ = ["AraimConfig", "SortedModes", "checked_levels", "levels_at"]
 
 Array = NDArray[np.float64]
 
@@ -51,9 +40,6 @@ class AraimConfig(Config):
     vertical_false_alarm: float = Field(3.9e-6, gt=0, lt=1, description="P_FA,VERT [-]; WG-C ARAIM ADD v3.1 table 3-2")
     horizontal_false_alarm: float = Field(9e-8, gt=0, lt=1, description="P_FA,HOR [-]; WG-C ARAIM ADD v3.1 table 3-2")
     unmonitored_below: float = Field(8e-8, gt=0, lt=1, description="P_THRES [-]; WG-C ARAIM ADD v3.1 table 3-2")
-    effective_from: float = Field(
-        1e-5, gt=0, lt=1, description="P_EMT, prior from which a mode counts in the EMT [-]; ADD v3.1 table 3-2"
-    )
     satellite_prior: float = Field(1e-5, ge=0, lt=1, description="P_sat [-]; ADD v3.1 table 3-1")
     constellation_prior: float = Field(1e-4, ge=0, lt=1, description="P_const [-]; ADD v3.1 table 3-1")
     at_once: int = Field(
@@ -79,97 +65,6 @@ class AraimConfig(Config):
         )
 
 
-@dataclass(frozen=True)
-class AraimLevels:
-    """Levels of E epochs.
-
-    Attributes
-    ----------
-    vpl_m, hpl_m : (E,) vertical and horizontal protection level, inf where none
-    hpl_en_m : (E, 2) of East and North
-    emt_m : (E,) effective monitor threshold of the vertical
-    sigma_v_acc_m : (E,) standard deviation of the vertical for accuracy
-    modes : the fault modes
-    k_fa_vertical, k_fa_horizontal : thresholds of the separation tests, in sigmas
-    """
-
-    vpl_m: Array
-    hpl_m: Array
-    hpl_en_m: Array
-    emt_m: Array
-    sigma_v_acc_m: Array
-    modes: FaultModes
-    k_fa_vertical: float
-    k_fa_horizontal: float
-
-
-def araim(
-    los_enu: ArrayLike,
-    group: ArrayLike,
-    variance_m2: ArrayLike,
-    accuracy_m2: ArrayLike,
-    bias_m: ArrayLike,
-    config: AraimConfig | None = None,
-    modes: FaultModes | None = None,
-) -> AraimLevels:
-    """VPL, HPL, EMT and vertical accuracy of epochs with the same satellites (WG-C ARAIM ADD v3.1, eq 12 to 31).
-
-    Parameters
-    ----------
-    los_enu : (E, m, 3) unit vectors receiver to satellite.
-    group : (m,) constellation of each satellite, 0 to 7.
-    variance_m2, accuracy_m2 : (E, m) or (m,) variances for integrity and for accuracy.
-    bias_m : (E, m), (m,) or scalar bounds of the nominal biases.
-    modes : in place of those that the priors ask for; modes of one satellite must have ``config.satellite_prior``.
-
-    Raises
-    ------
-    InputError
-        As :func:`lanebound.integrity.monitoring.protection.protection_levels_batch`.
-    """
-    rules = AraimConfig() if config is None else config
-    los = np.asarray(los_enu, dtype=np.float64)
-    require_shape("los_enu", los, (None, None, 3))
-    owner = np.asarray(group, dtype=np.int64)
-    if modes is None:
-        modes = enumerate_faults(
-            owner,
-            rules.satellite_prior,
-            rules.constellation_prior,
-            unmonitored_below=rules.unmonitored_below,
-            at_once=rules.at_once,
-        )
-    vertical, horizontal = enu_levels(los, owner, variance_m2, accuracy_m2, bias_m, rules, modes)
-    factors = [float(rules.axis_rules(v).false_alarm_factors(len(modes))[-1]) for v in (True, False)]
-    up = vertical_separation(los, owner, variance_m2, accuracy_m2, bias_m, modes)
-    spread = np.broadcast_to(np.asarray(accuracy_m2, dtype=np.float64), los.shape[:2])
-    counts = np.concatenate([[False], modes.prior >= rules.effective_from])
-    return AraimLevels(
-        vpl_m=vertical,
-        hpl_m=np.hypot(horizontal[:, 0], horizontal[:, 1]),
-        hpl_en_m=horizontal,
-        emt_m=factors[0] * np.where(counts, up.delta_m[..., 0], 0.0).max(-1),
-        sigma_v_acc_m=np.sqrt((up.gain_track[:, 0, 0] ** 2 * spread).sum(-1)),
-        modes=modes,
-        k_fa_vertical=factors[0],
-        k_fa_horizontal=factors[1],
-    )
-
-
-def enu_levels(
-    los_enu: Array,
-    group: ArrayLike,
-    variance_m2: ArrayLike,
-    accuracy_m2: ArrayLike,
-    bias_m: ArrayLike,
-    config: AraimConfig,
-    modes: FaultModes,
-) -> tuple[Array, Array]:
-    """Protection levels of Up (E,) and of East and North (E, 2) by two runs of the kernel.  Shapes as araim."""
-    found = levels_at(los_enu, group, variance_m2, accuracy_m2, bias_m, config, modes, np.ones(1))
-    return found[0][:, 0], found[1][:, 0]
-
-
 def levels_at(
     los_enu: Array,
     group: ArrayLike,
@@ -180,8 +75,24 @@ def levels_at(
     modes: FaultModes,
     times: Array,
 ) -> tuple[Array, Array]:
-    """:func:`enu_levels` at several multiples ``times`` (R,) of the risks of the configuration: Up (E, R), and East and
-    North (E, R, 2). The modes and what they leave are the same at all of them, so that one search serves all."""
+    """Levels of Up (E, R), and of East and North (E, R, 2), by two runs of the kernel (ADD v3.1 eq 12 to 29).
+
+    The modes and what they leave are the same at all risks, so that one search serves all.
+
+    Parameters
+    ----------
+    los_enu : (E, m, 3) unit vectors receiver to satellite.
+    group : (m,) constellation of each satellite, 0 to 7.
+    variance_m2, accuracy_m2 : (E, m) or (m,) variances for integrity and for accuracy.
+    bias_m : (E, m), (m,) or scalar bounds of the nominal biases.
+    modes : modes of one satellite must have ``config.satellite_prior``.
+    times : (R,) multiples of the risks of the configuration.
+
+    Raises
+    ------
+    InputError
+        As :func:`lanebound.integrity.monitoring.protection.protection_levels_batch`.
+    """
     rules = [config.axis_rules(vertical) for vertical in (True, False)]
     levels = [
         protection_levels_batch(
@@ -267,28 +178,3 @@ def checked_levels(
         found.append(levels)
         alarm |= (worst[:, :1] if vertical else worst).max(-1) > k_fa
     return found[0][..., 0], found[1], alarm
-
-
-def vertical_separation(
-    los_enu: Array,
-    group: ArrayLike,
-    variance_m2: ArrayLike,
-    accuracy_m2: ArrayLike,
-    bias_m: ArrayLike,
-    modes: FaultModes,
-) -> Separation:
-    """Solution and separations of Up (axis 0) and East (axis 1) for every mode, the plain way.  Shapes as araim."""
-
-    def diagonal(variance: ArrayLike) -> Array:
-        wide = np.broadcast_to(np.asarray(variance, dtype=np.float64), los_enu.shape[:2])
-        return wide[..., None] * np.eye(los_enu.shape[1])
-
-    clocks = np.broadcast_to(np.asarray(group)[:, None] == np.arange(GROUPS), (*los_enu.shape[:2], GROUPS))
-    return separate(
-        np.concatenate([-los_enu[..., UP_FIRST], clocks], -1),
-        diagonal(variance_m2),
-        modes.removes,
-        np.full(los_enu.shape[0], EAST_RAD),
-        accuracy=diagonal(accuracy_m2),
-        bias=bias_m,
-    )

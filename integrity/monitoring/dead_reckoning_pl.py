@@ -29,7 +29,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 STATES = 10
 X, W = slice(5, 8), slice(8, 10)  # errors of the heading filter, white part of the Doppler error

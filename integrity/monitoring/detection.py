@@ -17,6 +17,7 @@ from scipy.special import chdtri, ndtri
 from lanebound.integrity.core.advice import Advice
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.core.frames import track_from_enu_matrix
+from lanebound.integrity.monitoring.detection_kernel import RANK_TOLERANCE
 
 __all__ = [
     "Adjustment",
@@ -41,7 +42,6 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-RANK_TOLERANCE = 1e-9  # eigenvalues of normalised matrices below this are zeros
 SINGULAR_TOLERANCE = 1e-10  # smallest eigenvalue of the correlation form of a normal matrix that has a solution
 
 

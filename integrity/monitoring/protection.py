@@ -21,9 +21,6 @@ from lanebound.integrity.monitoring import protection_kernel as kernel
 from lanebound.integrity.monitoring.fault_modes import FaultModes
 from lanebound.integrity.monitoring.risk import (
     RiskConfig,
-    Variant,
-    missed_detection_factor,
-    mode_shares,
     pair_risk,
     upper_quantile,
 )
@@ -37,6 +34,7 @@ __all__ = [
     "multi_hypothesis",
     "protection_levels",
     "protection_levels_batch",
+    "scaled_by_rank",
     "tail_sum",
 ]
 
@@ -132,9 +130,8 @@ def protection_levels(
     risks: ArrayLike | None = None,
     *,
     spent: ArrayLike = 0.0,
-    root: bool = True,
 ) -> Array:
-    """PL_AT and PL_CT of each risk with the factors, budgets and variant of ``config``.
+    """PL_AT and PL_CT of each risk: multi-hypothesis root (S2 eq 10-11) with the factors and budgets of ``config``.
 
     Parameters
     ----------
@@ -142,7 +139,6 @@ def protection_levels(
     priors : (..., M) fault probability of each mode [-]; a mode with prior 0 is not counted.
     risks : (R,) total horizontal risks; default the configured one.
     spent : (...,) risk already spent, the probability of a wrong fix above all [-].
-    root : the multi-hypothesis root (S2 eq 10-11), else the closed form (S1 eq 17).
 
     Returns
     -------
@@ -153,23 +149,18 @@ def protection_levels(
     n_modes = separation.sigma_m.shape[-2] - 1
     k_fa = config.false_alarm_factors(n_modes)[n_modes]
     if config.direction_test:
-        separation = _scaled_by_rank(separation, config.false_alarm_factors(n_modes, 2)[n_modes] / k_fa)
-    if config.variant is Variant.PUBLISHED and not root:
-        levels = [closed_form_published(separation, k_fa, float(r)) for r in config.risks(risks)]
-        return np.stack(levels, -2)
+        separation = scaled_by_rank(separation, config.false_alarm_factors(n_modes, 2)[n_modes] / k_fa)
     outside = np.asarray(spent, dtype=np.float64) + config.unmonitored_risk
     if config.subtract_multiple:
         outside = outside + pair_risk(p)
     budgets = config.axis_budgets(risks, outside)
     columns = np.concatenate([np.full((*p.shape[:-1], 1), FAULT_FREE_PRIOR), p], -1)
-    if root:
-        tolerate, count = config.spend_unsolvable, budgets.shape[-2]
-        levels = [multi_hypothesis(separation, columns, k_fa, budgets[..., r, :], tolerate) for r in range(count)]
-        return np.stack(levels, -2)
-    return _closed_of_risks(separation, columns, k_fa, budgets, config)
+    tolerate, count = config.spend_unsolvable, budgets.shape[-2]
+    levels = [multi_hypothesis(separation, columns, k_fa, budgets[..., r, :], tolerate) for r in range(count)]
+    return np.stack(levels, -2)
 
 
-def _scaled_by_rank(separation: Separation, factor: Array) -> Separation:
+def scaled_by_rank(separation: Separation, factor: Array) -> Separation:
     """The same with the separations of modes that move East and North independently (rank 2) times ``factor``."""
     moved = separation.gain_track[..., :1, :, :] - separation.gain_track[..., 1:, :, :]
     size = np.sqrt((moved**2).sum((-2, -1)))
@@ -178,20 +169,6 @@ def _scaled_by_rank(separation: Separation, factor: Array) -> Separation:
     return replace(
         separation, delta_m=np.concatenate([separation.delta_m[..., :1, :], scale * separation.delta_m[..., 1:, :]], -2)
     )
-
-
-def _closed_of_risks(separation: Separation, columns: Array, k_fa: Array, budgets: Array, config: RiskConfig) -> Array:
-    """The closed form with exact factors for every row of ``budgets`` (..., R, 2)."""
-    shares = mode_shares(columns.shape[-1], config.fault_free_share)
-    lost = ~np.isfinite(separation.sigma_m[..., 0])
-    spent = (columns * lost)[..., 1:].sum(-1)[..., None, None]
-    left = budgets - spent * config.spend_unsolvable
-    k_md = missed_detection_factor(left[..., None, :], shares[:, None], columns[..., None, :, None])
-    leave_out = (lost & config.spend_unsolvable) | (columns == 0.0)
-    k_md = np.where(leave_out[..., None, :, None], -np.inf, k_md)
-    levels = np.stack([closed_form(separation, k_fa, k_md[..., r, :, :]) for r in range(budgets.shape[-2])], -2)
-    refused = (left <= 0.0) | ((spent > 0.0) & (not config.spend_unsolvable))
-    return np.where(refused, np.inf, levels)
 
 
 def protection_levels_batch(

@@ -23,8 +23,6 @@ __all__ = [
     "Variant",
     "direction_factor",
     "false_alarm_factor",
-    "missed_detection_factor",
-    "mode_shares",
     "multiple_fault_risk",
     "pair_risk",
     "upper_quantile",
@@ -160,25 +158,6 @@ def direction_factor(alpha: float, n_modes: ArrayLike, rank: ArrayLike) -> Array
     """Threshold of the largest direction, ``sqrt(chi2_{1-a/n}(rank))`` (S2 eq 9).  (...,) -> (...,), 0 for none."""
     n = np.asarray(n_modes, dtype=np.float64)
     return np.where(n > 0.0, np.sqrt(chdtri(np.asarray(rank), alpha / np.maximum(n, 1.0))), 0.0)
-
-
-def mode_shares(n_columns: int, fault_free_share: float = 0.0) -> Array:
-    """Shares w_i of the budget, sum 1: all equal, or ``fault_free_share`` for column 0.  -> (n_columns,)."""
-    if fault_free_share <= 0.0 or n_columns == 1:
-        return np.full(n_columns, 1.0 / n_columns)
-    rest = (1.0 - fault_free_share) / (n_columns - 1)
-    return np.concatenate([[fault_free_share], np.full(n_columns - 1, rest)])
-
-
-def missed_detection_factor(budget: ArrayLike, share: ArrayLike, prior: ArrayLike) -> Array:
-    """``K_md,i = Qinv(w_i P_HMI,q / P_i)``, fault-free with P_0 = 2 (equations.md 6).
-
-    budget (...,), share (...,), prior (...,) -> (...,); -inf where the prior is within its share, inf without budget.
-    """
-    allowed = np.asarray(budget, dtype=np.float64) * np.asarray(share, dtype=np.float64)
-    p = np.broadcast_to(np.asarray(prior, dtype=np.float64), np.broadcast_shapes(allowed.shape, np.shape(prior)))
-    ratio = np.divide(allowed, p, out=np.full(p.shape, np.inf), where=p > 0.0)
-    return upper_quantile(ratio)
 
 
 def pair_risk(priors: ArrayLike) -> Array:

@@ -68,7 +68,6 @@ def separate(
     y: ArrayLike | None = None,
     rows: ArrayLike | None = None,
     variant: Variant = Variant.EXACT,
-    required: int = 3,
 ) -> Separation:
     """Fault-free and fault-tolerant solutions along and across the track.
 
@@ -78,7 +77,7 @@ def separate(
 
     Parameters
     ----------
-    design : (..., m, n) with E and N as the first columns.
+    design : (..., m, n) with E, N and Up first, which must be determined; clocks without a row left are dropped.
     covariance : (..., m, m) for integrity [m^2].
     modes : (..., M, m) bool, the rows that each mode removes.
     heading_rad : (...,) azimuth of motion.
@@ -87,7 +86,6 @@ def separate(
     y : (..., m) measurements [m].
     rows : (..., m) bool, rows in view; default all.
     variant : PUBLISHED takes the bias of S1 eq 17.
-    required : columns that must be determined; the rest are clocks, dropped when no row is left.
 
     Raises
     ------
@@ -105,7 +103,7 @@ def separate(
     heading = require_finite("heading_rad", heading_rad)[..., None]
     seen = np.ones(m, bool) if rows is None else np.asarray(rows, dtype=bool)
     left = _rows_of_columns(removed, seen)
-    s = gain(g[..., None, :, :], weights(q[..., None, :, :], left), required)
+    s = gain(g[..., None, :, :], weights(q[..., None, :, :], left))
     enu = s.gain[..., :2, :]
     track = track_from_enu_matrix(heading) @ enu
     delta = np.where(s.solved[..., None, None], track[..., :1, :, :] - track, 0.0)

@@ -36,23 +36,10 @@ NODE_LIMIT = 20_000  # about 0.2 ms; a decorrelated problem worth fixing needs s
 class SearchStatus(IntEnum):
     """How a search ended; the integers are those of the kernels."""
 
-    OK = kernel.OK
-    NODE_LIMIT = kernel.NODE_LIMIT
-    NOT_POSITIVE_DEFINITE = kernel.NOT_POSITIVE_DEFINITE
-    NOT_FINITE = kernel.NOT_FINITE
-
-    @property
-    def advice(self) -> str:
-        """What to do about it."""
-        return _ADVICE[self]
-
-
-_ADVICE = {
-    SearchStatus.OK: "candidates are the best there are",
-    SearchStatus.NODE_LIMIT: "candidates are not proven best; wait for a more precise float solution",
-    SearchStatus.NOT_POSITIVE_DEFINITE: "covariance has lost rank; rebuild the float solution",
-    SearchStatus.NOT_FINITE: "float ambiguities are not numbers; rebuild the float solution",
-}
+    OK = kernel.OK  # candidates are the best there are
+    NODE_LIMIT = kernel.NODE_LIMIT  # candidates are not proven best; wait for a more precise float solution
+    NOT_POSITIVE_DEFINITE = kernel.NOT_POSITIVE_DEFINITE  # covariance has lost rank; rebuild the float solution
+    NOT_FINITE = kernel.NOT_FINITE  # float ambiguities are not numbers; rebuild the float solution
 
 
 @dataclass(frozen=True)

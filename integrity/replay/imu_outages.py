@@ -216,7 +216,7 @@ def run_inertial_outages(motion: InertialMotion, config: ImuOutageConfig) -> Out
     error = (track_from_enu_matrix(heading) @ off[..., None])[..., 0]
     age = np.asarray((np.arange(n) + 1.0) / config.rate_hz, dtype=np.float64)
     levels = _levels(speed, heading, age, config)
-    return OutageErrors(age, error, levels, motion.true_speed_mps[starts], np.zeros(starts.size), motion.time_s[starts])
+    return OutageErrors(age, error, levels, motion.true_speed_mps[starts], motion.time_s[starts])
 
 
 def _speed(motion: InertialMotion, s: int, n: int, before: int) -> Array:

@@ -67,13 +67,12 @@ class Motion:
 @dataclass(frozen=True)
 class OutageErrors:
     """N outages with M ages (M,) [s]: signed error (N, M, 2) along and across the track [m], level (N, M, 2) [m], speed
-    at the start (N,) [m/s], heading error at the start (N,) [rad] and start time (N,) [s]."""
+    at the start (N,) [m/s] and start time (N,) [s]."""
 
     age_s: Array
     error_m: Array
     pl_m: Array
     speed_mps: Array
-    heading_error_rad: Array
     start_s: Array
 
 
@@ -152,7 +151,7 @@ def run_outages(motion: Motion, config: OutageConfig) -> OutageErrors:
     starts, errors = np.array([s for s, _ in cases]), np.array([e for _, e in cases], dtype=np.float64)
     off, levels = _dead_reckoned(motion, starts, errors, n, config)
     age = np.asarray((np.arange(n) + 1.0) / config.rate_hz, dtype=np.float64)
-    return OutageErrors(age, off, levels, motion.true_speed_mps[starts], errors, motion.time_s[starts])
+    return OutageErrors(age, off, levels, motion.true_speed_mps[starts], motion.time_s[starts])
 
 
 def _dead_reckoned(

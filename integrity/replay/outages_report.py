@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.integrity.assessment.bounding import measure_bounding
 from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_figure, risk_text, save, tidy
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["S1_AGE_S", "S1_DRIFT_M", "S1_HEADING_DEG", "S1_SPEED_MPS", "by_age", "drift_figure", "write_outages"]
 
-Array = NDArray[np.float64]
 
 AGES_S = (1.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0)
 TOOTH_S, FIXED_S = 8.0, 3.0  # duration of outages and fixes in the sawtooth figure

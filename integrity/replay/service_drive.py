@@ -258,9 +258,9 @@ class _Run:
         if self.steered and solution.since_rtk_s[0] <= self.config.dt_s:  # a position found here, not moved here
             self.begun_s = min(self.begun_s, out.time_s[n])
         if self.epochs.odometry is not None and k >= 0:
-            self._steer(n, k, out)
+            self._steer(n, k)
 
-    def _steer(self, n: int, k: int, out: ServiceDrive) -> None:
+    def _steer(self, n: int, k: int) -> None:
         """Give the navigator the heading that fits the positions of the codes, where that is surer."""
         rough = self.epochs.rough_en_m
         assert rough is not None  # comes with the odometry

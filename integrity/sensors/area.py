@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.integrity.core.lasting import LastingBundle
 from lanebound.integrity.core.records import Records, one_record
@@ -30,8 +29,6 @@ from lanebound.integrity.sensors.corrections_kernel import advance_network
 from lanebound.integrity.sensors.gnss import AreaSignals, GnssConfig, flat
 
 __all__ = ["AreaState", "advance_area", "initial_area"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass

@@ -20,10 +20,9 @@ from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors.effects import FaultEffects
 
-__all__ = ["WHEELS", "ChassisConfig", "ChassisSample", "ChassisState", "initial_chassis", "sample_chassis"]
+__all__ = ["ChassisConfig", "ChassisSample", "ChassisState", "initial_chassis", "sample_chassis"]
 
 Array = NDArray[np.float64]
-WHEELS = ("front left", "front right", "rear left", "rear right")
 ROLLING_MPS = 0.1  # slower, the direction of a wheel's motion is not defined
 
 
@@ -98,7 +97,8 @@ def sample_chassis(
 
 
 def wheel_velocities(config: ChassisConfig, truth: Truth) -> tuple[Array, Array]:
-    """True velocities of the wheels along and across the body, (B, 4) each [m/s]; in the order of WHEELS."""
+    """True velocities of the wheels along and across the body, (B, 4) each [m/s]; front left, front right,
+    rear left, rear right."""
     sine, cosine = np.sin(truth.heading_rad), np.cos(truth.heading_rad)
     east, north = truth.velocity_enu_mps[:, 0], truth.velocity_enu_mps[:, 1]
     u, w = sine * east + cosine * north, cosine * east - sine * north

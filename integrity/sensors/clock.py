@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["OCXO_H0", "OCXO_HM2", "SPEED_OF_LIGHT_MPS", "TCXO_H0", "TCXO_HM2", "clock_gains"]
+from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS
 
-SPEED_OF_LIGHT_MPS = 299_792_458.0
+__all__ = ["OCXO_H0", "OCXO_HM2", "TCXO_H0", "TCXO_HM2", "clock_gains"]
+
 TCXO_H0, TCXO_HM2 = 2e-19, 2e-20  # temperature-compensated crystal [s], [Hz]; Brown and Hwang, table 9.3, low quality
 OCXO_H0, OCXO_HM2 = 2e-25, 6e-25  # oven-controlled crystal; the same table
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.sky.constellation import SECONDS_PER_WEEK
 from lanebound.integrity.sky.ephemeris import Ephemerides
 from lanebound.integrity.sky.systems import PRN_BEFORE, System
 
@@ -28,7 +29,6 @@ OTHERS = {"R": "GLONASS", "S": "SBAS", "I": "NavIC"}
 FORMS = ("LNAV", "INAV", "FNAV", "D1", "D2", "D1D2", "FDMA", "SBAS")  # of RINEX 4 with the lines of RINEX 3
 LARGEST_BYTES = 96 * 2**20  # reading needs 0.7 GiB; one day of all IGS receivers is below 20 MiB
 GPS_START = datetime(1980, 1, 6)
-SECONDS_PER_WEEK = 604_800.0
 BEIDOU_BEHIND_S = 14.0  # BDT was UTC at 2006-01-01, 14 leap seconds after GPS time's start; BDS-SIS-ICD-2.1 3.3
 LINES = 8
 FIRST_LABEL = "RINEX VERSION / TYPE"

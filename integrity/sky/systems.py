@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.sky.systems_kernel import N_SYSTEMS
 
 __all__ = [
-    "CARRIER_HZ", "CHIP_M", "FIXABLE", "N_BANDS", "N_SYSTEMS", "PRN_BEFORE", "SPEED_OF_LIGHT_MPS", "WAVELENGTH_M",
+    "CARRIER_HZ", "CHIP_M", "FIXABLE", "N_SYSTEMS", "PRN_BEFORE", "SPEED_OF_LIGHT_MPS", "WAVELENGTH_M",
     "System",
 ]  # fmt: skip
 
@@ -27,7 +27,6 @@ class System(IntEnum):
     QZSS = 4
 
 
-N_BANDS = 3
 PRN_BEFORE = {"J": 192}
 """By RINEX letter, the PRN before that of satellite 01: J01 is PRN 193 (RINEX 3.04 table 5); others 0."""
 
@@ -40,10 +39,10 @@ CARRIER_HZ: NDArray[np.float64] = 1e6 * np.array(
         [1575.42, 1227.60, 1176.45],  # L1, L2, L5: IS-QZSS-PNT-005 4.1
     ]
 )
-"""Carrier frequencies [Hz], (N_SYSTEMS, N_BANDS): band 0 = L1/E1/B1I, 1 = L2/E5b/B2I, 2 = L5/E5a/B2a."""
+"""Carrier frequencies [Hz], (N_SYSTEMS, 3): band 0 = L1/E1/B1I, 1 = L2/E5b/B2I, 2 = L5/E5a/B2a."""
 
 WAVELENGTH_M: NDArray[np.float64] = SPEED_OF_LIGHT_MPS / CARRIER_HZ
-"""Carrier wavelengths [m], (N_SYSTEMS, N_BANDS); GLONASS at its nominal centre frequencies (channel 0)."""
+"""Carrier wavelengths [m], (N_SYSTEMS, 3); GLONASS at its nominal centre frequencies (channel 0)."""
 
 CHIP_M: NDArray[np.float64] = SPEED_OF_LIGHT_MPS / (
     1e6
@@ -57,7 +56,7 @@ CHIP_M: NDArray[np.float64] = SPEED_OF_LIGHT_MPS / (
         ]
     )
 )
-"""Length of a chip of the code [m], (N_SYSTEMS, N_BANDS)."""
+"""Length of a chip of the code [m], (N_SYSTEMS, 3)."""
 
 FIXABLE: NDArray[np.bool_] = np.array([True, True, False, True, True])
 """Whether double-differenced ambiguities of a system are integers, (N_SYSTEMS,); those of GLONASS FDMA are not."""

@@ -42,19 +42,6 @@ class RepairStatus(IntEnum):
     HALF_CYCLE = kernel.HALF_CYCLE
     INCONSISTENT = kernel.INCONSISTENT
 
-    @property
-    def advice(self) -> str:
-        """What to do about it."""
-        return _ADVICE[self]
-
-
-_ADVICE = {
-    RepairStatus.REPAIRED: "subtract the slip and hold the ambiguities",
-    RepairStatus.NOT_UNIQUE: "several slips explain the jump; reset the ambiguities of this satellite",
-    RepairStatus.HALF_CYCLE: "the receiver has not resolved its half cycle; reset the ambiguities of this satellite",
-    RepairStatus.INCONSISTENT: "no slip explains the jump; reset the ambiguities of this satellite",
-}
-
 
 def remove_common(change: ArrayLike, member: ArrayLike, system: ArrayLike) -> Array:
     """Subtract the median change of each system's members (the receiver clock): (..., S), (..., S), (S,) -> (..., S).

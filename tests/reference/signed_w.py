@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.monitoring.detection import RANK_TOLERANCE, Adjustment
+from lanebound.integrity.monitoring.detection import Adjustment
+from lanebound.integrity.monitoring.detection_kernel import RANK_TOLERANCE
 
 __all__ = ["w_statistics"]
 

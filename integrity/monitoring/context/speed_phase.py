@@ -55,15 +55,13 @@ class SpeedPhaseConfig(Config):
 class SpeedTest(NamedTuple):
     """Results of B vehicles.
 
-    moving (B,) the wheels are fast enough; known (B,) there are N + 1 speeds; consistent (B,) the test holds; mase_mps,
-    error_mps, average_mps (B,) MASE, standard error and average Doppler speed, 0 where not known.
+    moving (B,) the wheels are fast enough; known (B,) there are N + 1 speeds; consistent (B,) the test holds;
+    average_mps (B,) average Doppler speed, 0 where not known.
     """
 
     moving: Bools
     known: Bools
     consistent: Bools
-    mase_mps: Array
-    error_mps: Array
     average_mps: Array
 
     @property
@@ -152,20 +150,18 @@ class SpeedPhase:
         ordered = np.where(full[:, None, None], speeds, 0.0)
         sdop, doppler, wheels = ordered[..., 0], ordered[..., 1], ordered[..., 2]
         bound, average = mase(sdop), interval_mean(doppler)
-        error, consistent = self._compare(bound, doppler, wheels)
-        return SpeedTest(np.abs(wheel_mps) > c.least_mps, full, consistent & full, bound, error, average)
+        consistent = self._consistent(bound, doppler, wheels)
+        return SpeedTest(np.abs(wheel_mps) > c.least_mps, full, consistent & full, average)
 
-    def _compare(self, bound: Array, doppler: Array, wheels: Array) -> tuple[Array, Bools]:
-        """The standard error, and whether MASE reaches ``errors`` of it."""
+    def _consistent(self, bound: Array, doppler: Array, wheels: Array) -> Bools:
+        """Whether MASE reaches ``errors`` of the standard error."""
         c = self.config
         if c.form is SpeedForm.PRINTED:
-            error = bound / np.sqrt(c.intervals)
-            return error, np.asarray(bound >= c.errors * error)
+            return np.asarray(bound >= c.errors * (bound / np.sqrt(c.intervals)))
         if c.form is SpeedForm.TREND:
-            error = trend_error(doppler)
-            return error, np.asarray(bound >= c.errors * error)
+            return np.asarray(bound >= c.errors * trend_error(doppler))
         off = 0.5 * (doppler[:, :-1] + doppler[:, 1:]) - wheels[:, 1:]  # wheels: means over the intervals
         error, mean = np.sqrt(2.0) * off.std(-1, ddof=1) / np.sqrt(c.intervals), off.mean(-1)
         allowed = c.errors * np.maximum(error, bound / np.sqrt(c.intervals) / c.sdop_sigmas)
         allowed = allowed + c.wheel_scale * wheels[:, 1:].mean(-1)
-        return error, np.asarray((bound >= c.errors * error) & (np.abs(mean) <= allowed))
+        return np.asarray((bound >= c.errors * error) & (np.abs(mean) <= allowed))

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget, CodeErrorParts
+from lanebound.integrity.positioning.code_errors_kernel import LEAST_SINE
 from lanebound.integrity.sensors.broadcast import change_rate
 
 __all__ = ["CodeBudget"]
@@ -14,7 +15,6 @@ __all__ = ["CodeBudget"]
 Array = NDArray[np.float64]
 
 STRONG_DBHZ = 45.0
-LEAST_SINE = 0.05
 
 
 class CodeBudget(Config):

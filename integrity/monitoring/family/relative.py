@@ -23,7 +23,6 @@ from lanebound.integrity.monitoring.family.separations import root_level
 
 __all__ = ["relative_position", "relative_range"]
 
-Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.monitoring.araim import AraimConfig, SortedModes, checked_levels
+from lanebound.integrity.monitoring.araim import EAST_RAD, AraimConfig, SortedModes, checked_levels
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
 from lanebound.integrity.monitoring.family.epochs import MOST_SYSTEMS, CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit
@@ -25,8 +25,6 @@ __all__ = ["advanced_levels", "closed_level", "published_level", "root_axes", "r
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-EAST_RAD = 0.5 * np.pi
 
 
 def separations(fit: CodeFit) -> Separation:

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, ShadowedUse, WeightKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
+from lanebound.integrity.positioning.code_errors_kernel import LEAST_SINE
 
 __all__ = ["weighted_codes"]
 
 Array = NDArray[np.float64]
 
 REFERENCE_DBHZ = 45.0
-LEAST_SINE = 0.05
 LIMITS_M = (0.1, 1e3)
 
 

@@ -16,6 +16,9 @@ from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm
 from lanebound.integrity.navigators.navigator import LevelForm, PlCase, Start
 from lanebound.integrity.navigators.rtk_reckoning import records_kernel as rk
 from lanebound.integrity.positioning.config import (
+    DeadReckoningConfig,
+    DopplerConfig,
+    HeadingConfig,
     bound_correlation,
     calibration_parameters,
     drift_parameters,
@@ -43,8 +46,6 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
     p, smallest = c.positioning, min(case.integrity_risk for case in c.cases)
     of_lever = LEVER_RISK_SHARE * smallest if any(p.lever_arm_m) else 0.0
     share = min(c.risk.at_share, 1.0 - c.risk.at_share)
-    d, h, o = p.doppler, p.heading, p.dead_reckoning
-    correlation = bound_correlation(*d.tau_range_s, c.dt_s)
     return one_record(
         rk.PARAMETERS,
         dt=c.dt_s,
@@ -52,35 +53,9 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
         confirm=p.rtk.confirm_s,
         rtk=rtk_parameters(p.rtk, len(c.gnss.bands), smallest),
         slips=slip_parameters(p.slips),
-        doppler=one_record(
-            rk.DOPPLER_RULES,
-            sigma=d.sigma_mps,
-            decay=correlation.decay,
-            white=correlation.white,
-            course=correlation.course,
-            bias=d.bias_mps,
-            sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
-            cn0_min=d.cn0_min_dbhz,
-        ),
-        heading=one_record(
-            rk.HEADING_RULES,
-            angle_random_walk=h.angle_random_walk_rad,
-            bias_walk=h.bias_walk_radps,
-            bias_initial=h.bias_initial_radps,
-            gyro_scale=h.gyro_scale,
-            calibration=calibration_parameters(h),
-        ),
-        odometer=one_record(
-            rk.ODOMETER_RULES,
-            sigma=o.odometer_sigma_mps,
-            tau=o.odometer_tau_s,
-            bias=o.odometer_bias_mps,
-            scale=o.odometer_scale,
-            still_speed=o.standstill_speed_mps,
-            heading_bias=np.deg2rad(o.heading_bias_deg),
-            heading_drift=np.deg2rad(o.heading_drift_degps),
-            watch=watch_parameters(o),
-        ),
+        doppler=_doppler_rules(p.doppler, c.dt_s),
+        heading=_heading_rules(p.heading),
+        odometer=_odometer_rules(p.dead_reckoning),
         modes=mode_parameters(p.mode, "imu_odometer" in c.modes),
         lever=one_record(
             rk.LEVER,
@@ -100,6 +75,45 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
         risk=risk_parameters(c.risk, of_lever, p.rtk.reference_bias_m),
         fde=fde_parameters(c.tests, c.risk.monitors_constellations),
         alert=alert_parameters(c.alert),
+    )
+
+
+def _doppler_rules(d: DopplerConfig, dt_s: float) -> Records:
+    correlation = bound_correlation(*d.tau_range_s, dt_s)
+    return one_record(
+        rk.DOPPLER_RULES,
+        sigma=d.sigma_mps,
+        decay=correlation.decay,
+        white=correlation.white,
+        course=correlation.course,
+        bias=d.bias_mps,
+        sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
+        cn0_min=d.cn0_min_dbhz,
+    )
+
+
+def _heading_rules(h: HeadingConfig) -> Records:
+    return one_record(
+        rk.HEADING_RULES,
+        angle_random_walk=h.angle_random_walk_rad,
+        bias_walk=h.bias_walk_radps,
+        bias_initial=h.bias_initial_radps,
+        gyro_scale=h.gyro_scale,
+        calibration=calibration_parameters(h),
+    )
+
+
+def _odometer_rules(o: DeadReckoningConfig) -> Records:
+    return one_record(
+        rk.ODOMETER_RULES,
+        sigma=o.odometer_sigma_mps,
+        tau=o.odometer_tau_s,
+        bias=o.odometer_bias_mps,
+        scale=o.odometer_scale,
+        still_speed=o.standstill_speed_mps,
+        heading_bias=np.deg2rad(o.heading_bias_deg),
+        heading_drift=np.deg2rad(o.heading_drift_degps),
+        watch=watch_parameters(o),
     )
 
 

@@ -33,7 +33,6 @@ from lanebound.integrity.positioning.rows_kernel import Rows
 __all__ = ["LEAST_ROWS", "check_ranges", "find_fix", "keep_likely", "offer", "pack", "position_of"]
 
 Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 LEAST_ROWS = 5
 

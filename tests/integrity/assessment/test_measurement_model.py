@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plain_closed_form import plain_levels
 
 from lanebound.integrity.assessment.measurement_model import Case, Form, Worst, draw_case, prepare
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance
-from lanebound.integrity.monitoring.protection import protection_levels
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.positioning.least_squares import design_matrix
@@ -36,9 +36,9 @@ def test_levels_are_those_of_the_layer() -> None:
         printed = separate(*arguments, bias=case.bias_bound_m, variant=Variant.PUBLISHED)
         prior = np.full(n, 1e-5)
         for form, root in ((Form.ROOT, True), (Form.CLOSED, False)):
-            expected = protection_levels(exact, prior, RULES, RISKS, spent=1e-6, root=root)
+            expected = plain_levels(exact, prior, RULES, RISKS, spent=1e-6, root=root)
             np.testing.assert_allclose(one.levels_m[form], expected, rtol=1e-8)
-        as_printed = protection_levels(printed, prior, RULES.replace(variant=Variant.PUBLISHED), RISKS, root=False)
+        as_printed = plain_levels(printed, prior, RULES.replace(variant=Variant.PUBLISHED), RISKS, root=False)
         np.testing.assert_allclose(one.levels_m[Form.PUBLISHED], as_printed, rtol=1e-9)
         assert (one.levels_m[Form.BIAS] <= one.levels_m[Form.CLOSED] * (1.0 + 1e-12)).all()
         assert (one.levels_m[Form.THRESHOLD] <= one.levels_m[Form.CLOSED] * (1.0 + 1e-12)).all()

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plain_araim import araim, vertical_separation
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring.araim import AraimConfig, araim, vertical_separation
+from lanebound.integrity.monitoring.araim import AraimConfig
 from lanebound.integrity.monitoring.fault_modes import FaultModes, enumerate_faults
 from lanebound.integrity.monitoring.protection import protection_levels, protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig

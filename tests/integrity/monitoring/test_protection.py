@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_closed_form import missed_detection_factor, plain_levels
 from scipy.stats import binom, norm
 
 from fault_rows import constellation_modes
@@ -23,7 +24,6 @@ from lanebound.integrity.monitoring.risk import (
     RiskConfig,
     Variant,
     false_alarm_factor,
-    missed_detection_factor,
     multiple_fault_risk,
 )
 from lanebound.integrity.monitoring.separation import Separation, separate
@@ -168,7 +168,7 @@ def test_batch_equals_reference(n: int, systems: int, systems_may_fail: bool, di
         separation, priors = reference(case, e, np.flatnonzero(view[e]), systems_may_fail)
         assert separation.status[0] == found.status[e]
         for root, levels in ((True, found.root_m[e]), (False, found.closed_m[e])):
-            expected = protection_levels(separation, priors, config, RISKS, spent=1e-7, root=root)
+            expected = plain_levels(separation, priors, config, RISKS, spent=1e-7, root=root)
             np.testing.assert_array_equal(np.isinf(levels), np.isinf(expected))
             known = np.isfinite(expected)
             tolerance = 1e-8 if separation.sigma_m[separation.solved].max() > 20.0 else 1e-9
@@ -222,7 +222,7 @@ def test_published_closed_form() -> None:
     k_fa, k_md = norm.isf(0.01 / 24.0), norm.isf(1e-5)
     expected = (k_fa * separation.delta_m + k_md * separation.sigma_m + separation.bias_m).max(0)
     config = RiskConfig(variant=Variant.PUBLISHED)
-    found = protection_levels(separation, np.full(12, 1e-5), config, [1e-5], root=False)
+    found = plain_levels(separation, np.full(12, 1e-5), config, [1e-5], root=False)
     np.testing.assert_allclose(found[0], expected, rtol=1e-12)
     np.testing.assert_allclose(closed_form_published(separation, np.array(k_fa), 1e-5), expected, rtol=1e-12)
     modes, out = mode_scratch(12), np.empty((1, 2))
@@ -249,7 +249,7 @@ def test_spent_risk_and_unsolvable_modes() -> None:
     assert np.isinf(loose.root_m[0, 1]).all()
     separation, priors = reference(alone, 0, np.arange(4), False)
     for root, level in ((True, loose.root_m[0]), (False, loose.closed_m[0])):
-        expected = protection_levels(separation, np.full_like(priors, 1e-5), lenient, [1e-3, 1e-5], root=root)
+        expected = plain_levels(separation, np.full_like(priors, 1e-5), lenient, [1e-3, 1e-5], root=root)
         np.testing.assert_allclose(level[0], expected[0], rtol=1e-6)
         assert np.isinf(expected[1]).all()
 
@@ -285,8 +285,8 @@ def test_published_level_fails_where_the_exact_one_holds() -> None:
         g, np.diag(case["variance"][0]), np.eye(12, dtype=bool), case["heading"][0], bias=0.3, variant=Variant.PUBLISHED
     )
     errors = np.abs(fault_free_errors(exact, case["variance"][0], case["bias"][0], 20_000))[:, 0]
-    small = protection_levels(published, priors, RiskConfig(variant=Variant.PUBLISHED), [1e-3], root=False)[0, 0]
-    large = protection_levels(exact, priors, RiskConfig(), [1e-3], root=False)[0, 0]
+    small = plain_levels(published, priors, RiskConfig(variant=Variant.PUBLISHED), [1e-3], root=False)[0, 0]
+    large = plain_levels(exact, priors, RiskConfig(), [1e-3], root=False)[0, 0]
     assert (errors > small).mean() > 0.05
     assert (errors > large).mean() <= binom.isf(1e-3, 20_000, 1e-3) / 20_000
 
@@ -323,7 +323,7 @@ def test_exact_factors_of_one_mode_by_hand() -> None:
     one = np.array([[1.0, 1.0], [1.5, 1.2]])
     found = Separation(one, np.array([[0.0, 0.0], [0.5, 0.4]]), 0 * one, 0 * one, np.zeros(2, int), np.zeros((2, 2, 1)))
     config = RiskConfig(integrity_risk=1e-5, subtract_multiple=False)
-    level = protection_levels(found, [1e-4], config, root=False)[0]
+    level = plain_levels(found, [1e-4], config, root=False)[0]
     k_fa = norm.isf(0.01 / 4.0)
     first, second = missed_detection_factor(5e-6, 0.5, [2.0, 1e-4])
     np.testing.assert_allclose(level, np.maximum(first, k_fa * found.delta_m[1] + second * one[1]), rtol=1e-12)

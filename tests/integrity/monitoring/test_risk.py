@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_closed_form import missed_detection_factor, mode_shares
 from scipy.stats import norm
 
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -17,8 +18,6 @@ from lanebound.integrity.monitoring.risk import (
     Variant,
     direction_factor,
     false_alarm_factor,
-    missed_detection_factor,
-    mode_shares,
     multiple_fault_risk,
     pair_risk,
     upper_quantile,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from plain_closed_form import plain_levels
 from scipy.stats import binom, chi2, norm
 
 from fault_rows import constellation_modes
@@ -15,7 +16,6 @@ from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, Search, fde_parameters, fde_thresholds
-from lanebound.integrity.monitoring.protection import protection_levels
 from lanebound.integrity.monitoring.separation import Separation, separate
 from lanebound.integrity.monitoring.significance import (
     Linking,
@@ -132,7 +132,7 @@ def levels(config: NavigatorConfig, case: Case) -> Array:
     return out[0] - par["risk"]["reference_bias"]
 
 
-def plain_levels(config: NavigatorConfig, case: Case) -> Array:
+def levels_by_hand(config: NavigatorConfig, case: Case) -> Array:
     """The same by the plain form with the factors written out."""
     found, risk = case.separation(config), config.risk.replace(direction_test=False)
     count = len(found.sigma_m) - 1
@@ -142,7 +142,7 @@ def plain_levels(config: NavigatorConfig, case: Case) -> Array:
     priors = satellite[case.group]
     if risk.monitors_constellations:
         priors = np.concatenate([priors, constellation[np.unique(case.group)]])
-    return protection_levels(found, priors, risk, root=config.form is LevelForm.ROOT)[0]
+    return plain_levels(found, priors, risk, root=config.form is LevelForm.ROOT)[0]
 
 
 @pytest.mark.parametrize("form", list(LevelForm))
@@ -151,7 +151,7 @@ def test_levels_count_on_the_threshold_of_the_test(name: str, form: LevelForm) -
     config = NavigatorConfig().replace(form=form, **OPTIONS[name])
     for seed, (n, systems) in enumerate([(9, 1), (12, 2), (17, 3), (22, 4), (30, 5)]):
         case = Case.of(seed, n, systems)
-        expected = plain_levels(config, case)
+        expected = levels_by_hand(config, case)
         assert np.isfinite(expected).all() == (not (systems == 1 and config.risk.monitors_constellations))
         np.testing.assert_allclose(levels(config, case), expected, rtol=1e-9)
 
@@ -191,7 +191,7 @@ def test_sets_of_doubtful_carriers_count_with_their_separation(weak: tuple[int, 
     assumed[13:] = np.abs(plain.separation_m[13:]) / risk.false_alarm_factors(modes)[modes]
     priors = np.concatenate([odds, [2.0 * odds[row].prod() for row in removed]])  # both tails of a set
     plain = replace(plain, delta_m=assumed)
-    expected = protection_levels(plain, priors, risk, spent=left, root=form is LevelForm.ROOT)[0]
+    expected = plain_levels(plain, priors, risk, spent=left, root=form is LevelForm.ROOT)[0]
     np.testing.assert_allclose(out[0] - par["risk"]["reference_bias"], expected, rtol=1e-8)
 
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lanebound.integrity.sensors.clock import OCXO_H0, OCXO_HM2, SPEED_OF_LIGHT_MPS, TCXO_H0, TCXO_HM2, clock_gains
+from lanebound.integrity.sensors.clock import OCXO_H0, OCXO_HM2, TCXO_H0, TCXO_HM2, clock_gains
+from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS
 
 
 @pytest.mark.parametrize(("h0", "hm2"), [(TCXO_H0, TCXO_HM2), (OCXO_H0, OCXO_HM2), (0.0, TCXO_HM2), (TCXO_H0, 0.0)])

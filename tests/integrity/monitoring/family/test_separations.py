@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from code_geometry import quiet
+from plain_araim import araim
 from scipy.special import erfcinv
 from scipy.stats import binom
 
-from lanebound.integrity.monitoring.araim import AraimConfig, SortedModes, araim, checked_levels, levels_at
+from lanebound.integrity.monitoring.araim import AraimConfig, SortedModes, checked_levels, levels_at
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.monitor import watch
