@@ -33,8 +33,8 @@ class AwareConfig(RssConfig):
     dead_reckoning_s: float = Field(
         30.0,
         gt=0,
-        description="without RTK under an alert until the car stops; on training seeds 12 s saved no departure and "
-        "cost a sixth of the return",
+        description="without RTK, or since the start of an alert, until the car stops; on training seeds 12 s saved no "
+        "departure and cost a sixth of the return",
     )
     stop_ct_m: float | None = Field(
         None,
@@ -59,15 +59,17 @@ class IntegrityAware(Rss):
     The speed falls from the limit at ``PL / AL = ratio_calm`` to a share of it at 1; the larger ratio counts. Before
     a stretch where two points in a row of the predicted sky have too few satellites it brakes to that share,
     ``v^2 <= v_alert^2 + 2 b d``. The minimal-risk manoeuvre on an alert: that share of the limit, no lane change, and a
-    stop when dead reckoning has lasted its time. That time is short where only the link is out, because an outage of
-    the link ends while the car waits. It is longer where the car soon reaches the open sky. In between the car does not
-    slow down further: errors across the track grow with time, about 0.1 m/s at any speed above walking pace, so that a
+    stop when dead reckoning, or the alert, has lasted its time (the last position of a service may be new, and its
+    level beyond the limit all the time). That time is short where only the link is out, because an outage of the link
+    ends while the car waits. It is longer where the car soon reaches the open sky. In between the car does not slow
+    down further: errors across the track grow with time, about 0.1 m/s at any speed above walking pace, so that a
     blocked stretch of D metres adds more error at a lower speed (a gyro's bias b adds ``b D^2 / 2 v``).
     """
 
     NEEDED: ClassVar[Sequence[str]] = (
         *Rss.NEEDED,
         "integrity.alert",
+        "integrity.alert_age",
         "integrity.corrections_age",
         "integrity.pl_ct",
         "integrity.ratio_at",
@@ -116,16 +118,15 @@ class IntegrityAware(Rss):
 
     def _overdue(self, observation: Observation, slow_mps: Array) -> NDArray[np.bool_]:
         """Where RTK has been missing for too long and no open sky is near, or the level across is too large."""
-        c, since = self.config, self.reader.value(observation, "integrity.since_rtk")
-        unlinked = self.reader.value(observation, "integrity.corrections_age") > c.link_age_s
+        c, value = self.config, self.reader.value
+        since = np.maximum(value(observation, "integrity.since_rtk"), value(observation, "integrity.alert_age"))
+        unlinked = value(observation, "integrity.corrections_age") > c.link_age_s
         sky = self._sky(observation, "own")
         enough = (sky[..., :1] >= c.satellites_needed - 0.5).any(axis=-1)
         out_s = self._open(observation) / slow_mps
         reaches = ~enough & (out_s <= c.grace_s) & (since <= c.dead_reckoning_s + c.grace_s)
         late = np.where(unlinked & enough, since > c.link_s, (since > c.dead_reckoning_s) & ~reaches)
-        return (
-            late if c.stop_ct_m is None else late | (self.reader.value(observation, "integrity.pl_ct") >= c.stop_ct_m)
-        )
+        return late if c.stop_ct_m is None else late | (value(observation, "integrity.pl_ct") >= c.stop_ct_m)
 
     def _open(self, observation: Observation) -> Array:
         """Distance to where two points in a row have enough satellites [m]; far without any."""

@@ -149,6 +149,8 @@ def test_an_alert_slows_and_dead_reckoning_beyond_its_time_stops(env):
     late = {"integrity__since_rtk": c.dead_reckoning_s + 1.0} | alert
     assert driver.wanted_speed(seen(reader, **late)) == 0.0
     assert driver.wanted_speed(seen(reader, integrity__since_rtk=59.0)) > slow  # by code alone, without an alert
+    lasting = {"integrity__since_rtk": 0.0, "integrity__alert_age": c.dead_reckoning_s + 1.0} | alert
+    assert driver.wanted_speed(seen(reader, **lasting)) == 0.0  # new positions of a service, whose levels are too large
 
 
 def test_a_level_across_stops_the_car_where_that_is_configured(env):
