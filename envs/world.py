@@ -52,17 +52,22 @@ def _class_of(base: str) -> type[AbstractEnv]:
     except GymnasiumError:
         known = [name for name, s in gymnasium.registry.items() if "highway_env" in str(s.entry_point)]
         own = [kind.name for kind in world_kinds() if kind.world is not None]
-        raise ConfigError(
-            f"base must be a highway-env id or one of {', '.join(own)}, got {base!r}: {nearest(base, [*own, *known])}"
-        ) from None
+        ours = f"lanebound/{base}"
+        advice = _make_it(ours) if ours in gymnasium.registry else nearest(base, [*own, *known])
+        raise ConfigError(f"base must be a highway-env id or one of {', '.join(own)}, got {base!r}: {advice}") from None
     creator = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
     if not (isinstance(creator, type) and issubclass(creator, AbstractEnv)):
-        raise ConfigError(f"base must be a highway-env environment, got {base!r}: wrap one of highway-env's ids")
+        advice = _make_it(base) if base.startswith("lanebound/") else "wrap one of highway-env's ids"
+        raise ConfigError(f"base must be a highway-env environment, got {base!r}: {advice}")
     if issubclass(creator, ParkingEnv):
         raise ConfigError(
             f"base must have lanes to drive along, got {base!r}, where the goal is a pose: choose another id"
         )
     return creator
+
+
+def _make_it(env_id: str) -> str:
+    return f"'{env_id}' has navigation already, make it with gymnasium.make('{env_id}')"
 
 
 def world_defaults(base: str) -> dict[str, Any]:
@@ -203,5 +208,8 @@ def checked_command(space: gymnasium.Space[Any], action: Any) -> Any:
         return command
     whole = np.asarray(action)
     if whole.dtype.kind not in "iu" or whole.size != 1 or not space.contains(np.int64(whole.item())):
-        raise InputError(f"action must be one of {space}, got {action!r}: correct it")
+        wanted = (
+            f"an integer from 0 to {space.n - 1}" if isinstance(space, gymnasium.spaces.Discrete) else f"one of {space}"
+        )
+        raise InputError(f"action must be {wanted}, got {action!r}: correct it")
     return int(whole.item())

@@ -101,7 +101,8 @@ def checked(action: Any, space: gymnasium.Space[Any]) -> Any:
     discrete = isinstance(space, gymnasium.spaces.Discrete)
     fits = numbers.size == 1 if discrete else numbers.shape == space.shape
     if numbers.dtype.kind not in "iuf" or not fits:
-        raise AgentFailure("wrong_shape", f"action must be numbers of shape {space.shape}, got {_short(action)}")
+        wanted = "one integer" if discrete else f"numbers of shape {space.shape}"
+        raise AgentFailure("wrong_shape", f"action must be {wanted}, got {_short(action)}")
     if not np.isfinite(numbers).all():
         raise AgentFailure("not_finite", f"action must be finite, got {_short(action)}")
     inside = numbers.dtype.kind in "iu" and space.contains(np.int64(numbers.item())) if discrete else None

@@ -56,10 +56,10 @@ def deep_merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str
 
 
 def mapping_of(value: Any) -> Mapping[str, Any]:
-    """A mapping as it is, the values of a preset for its name, nothing for every other value."""
+    """A mapping as it is, the values of a preset for its name (with or without folder), nothing for other values."""
     if isinstance(value, Mapping):
         return value
-    return preset_values(value) if isinstance(value, str) and "/" in value and value in _presets() else {}
+    return preset_values(value) if isinstance(value, str) and _with_folder(value, _presets()) in _presets() else {}
 
 
 UNCLOSED = {

@@ -17,7 +17,7 @@ KINDS = {
     "smartloc": "*_Input.txt(.gz) and *_GT.txt of smartLoc",
     "comma2k19": "global_pose, CAN and IMU of a comma2k19 segment",
     "imu_log": "an inertial log NAME.csv with NAME.csv.tag beside a solution .pos of RTKLIB",
-    "rinex": "two observation files and navigation in RINEX 3, such as rover.obs, base.obs and base.nav",
+    "rinex": "two observation files and navigation in RINEX 3 or 4, such as rover.obs, base.obs and base.nav",
 }
 POSITION_FILE = "{}_position.txt"  # latitude and longitude [deg], ellipsoidal height [m]
 
@@ -38,8 +38,10 @@ def kind_of(folder: Path) -> str:
         return "imu_log"
     if observation_files(folder):
         return "rinex"
+    if not folder.is_dir():
+        raise InputError(f"the data set must be a folder that exists, got {folder}: correct the path")
     known = "; ".join(f"{what} ({name})" for name, what in KINDS.items())
-    raise InputError(f"{folder} must be a folder of a recorded data set, is none: {known}")
+    raise InputError(f"the data set must be of a known kind, got {folder} with the files of none: it needs {known}")
 
 
 def replay_folder(

@@ -401,6 +401,20 @@ def test_worlds_without_lanes_to_follow_are_refused(env_id: str) -> None:
         wrap(env_id)
 
 
+@pytest.mark.parametrize("env_id", ["LaneKeeping-v0", "lanebound/LaneKeeping-v0"])
+def test_ids_that_have_navigation_already_are_not_wrapped(env_id: str) -> None:
+    with pytest.raises(ConfigError, match=r"make it with gymnasium\.make\('lanebound/LaneKeeping-v0'\)"):
+        wrap(env_id)
+
+
+def test_a_meta_action_out_of_range_is_refused_with_the_range() -> None:
+    env = wrap("two-way-v0", {"sky": "open"})
+    env.reset(seed=0)
+    for action in (7, 1.0, np.zeros(2)):
+        with pytest.raises(InputError, match="action must be an integer from 0 to 4, got"):
+            env.step(action)
+
+
 def test_what_belongs_into_the_configuration_is_told_where_it_goes() -> None:
     with pytest.raises(InputError, match=r"got sky='dense': pass config=\{'sky': 'dense'\}"):
         gym.make(LANE_KEEPING, sky="dense")

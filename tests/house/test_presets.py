@@ -109,12 +109,13 @@ def test_assignments_nest_and_merge():
     assert parse_assignments(texts) == wanted
 
 
+@pytest.mark.parametrize("name", ["city/dense", "dense"])
 @pytest.mark.parametrize("backwards", [False, True])
-def test_keys_apply_over_the_preset_that_is_named_beside_them(backwards):
-    texts = ["toy=city/dense", "toy.rtk.age_s=1"]
+def test_keys_apply_over_the_preset_that_is_named_beside_them(backwards, name):
+    texts = [f"toy={name}", "toy.rtk.age_s=1"]
     wanted = {"toy": {"risk": 1e-7, "rtk": {"age_s": 1, "bands": [1, 2]}}}
     assert parse_assignments(texts[::-1] if backwards else texts) == wanted
-    assert deep_merge({"toy": "city/dense"}, {"toy": {"rtk": {"age_s": 1}}}) == wanted
+    assert deep_merge({"toy": name}, {"toy": {"rtk": {"age_s": 1}}}) == wanted
 
 
 @pytest.mark.parametrize("value", ["odometer_gyro", "3", "null", "no/preset"])
