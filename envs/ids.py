@@ -303,9 +303,8 @@ class Roundabout(Preset):
 
     ## Costs
     As above. During an alert up to 10 m/s are free of `cost_alert`. `cost_limit` is 5, the 0.7 quantile of
-    `integrity_aware` over 24 training seeds (4.9). The policies that are shipped were trained without `cost_conflict`
-    and for a limit of 3. With perfect navigation `cost_lane` is still 0.6,
-    because highway-env's steering leaves the lane where the approach meets the circle.
+    `integrity_aware` over 24 training seeds (4.9). With perfect navigation `cost_lane` is still 0.6, because
+    highway-env's steering leaves the lane where the approach meets the circle.
 
     ## Starting State
     On the southern approach, 2.5 m before it bends towards the circle, at 8 m/s; one vehicle on the eastern approach,
@@ -360,7 +359,7 @@ class Intersection(Preset):
     ## Costs
     As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 6, the 0.7 quantile of
     `integrity_aware` over 32 training seeds. A driver stays within the limit in the mean only if it crashes in at most
-    one of 40 drives. The policies that are shipped were trained without `cost_conflict` and for a limit of 8.
+    one of 40 drives. The shipped policy was trained without `cost_conflict` and for a limit of 8.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.
