@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import os
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -93,11 +94,14 @@ def navigation_text(path: str | Path) -> str:
     try:
         with open(path, "rb") as plain:
             zipped = plain.read(2) == b"\x1f\x8b"
-        with gzip.open(path, "rb") if zipped else open(path, "rb") as stream:
-            raw = stream.read(LARGEST_BYTES + 1)
+            size = os.fstat(plain.fileno()).st_size
+        raw = b""
+        if size <= LARGEST_BYTES:
+            with gzip.open(path, "rb") if zipped else open(path, "rb") as stream:
+                raw = stream.read(LARGEST_BYTES + 1)
     except (OSError, EOFError, zlib.error, ValueError) as exc:
         raise InputError(f"navigation file {path} must be a readable text file, got: {exc}") from exc
-    if len(raw) > LARGEST_BYTES:
+    if max(size, len(raw)) > LARGEST_BYTES:
         raise InputError(f"navigation file {path} must have at most {LARGEST_BYTES} bytes: cut it into days")
     return raw.decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
 
