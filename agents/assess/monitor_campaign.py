@@ -2,8 +2,8 @@
 
 Vehicles drive a street twice with the same noise, with a fault and without it, so that all differences are effects of
 the fault. A monitor notices a fault in the first epoch in which it raises an alarm or has no level within the alert
-limit where it does not so without the fault, or excludes more codes than without it. The time to alert runs while the position is off by more than the
-alert limit and declared available.
+limit where it does not so without the fault, or excludes more codes than without it. The time to alert runs while the
+position is off by more than the alert limit and declared available.
 """
 
 from __future__ import annotations

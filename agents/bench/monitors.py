@@ -38,7 +38,8 @@ def measure(rounds: int = 5, seconds: float = 0.4) -> list[Row]:
     """Rows of all shown monitors."""
 
     def work(name: str) -> Callable[[], int]:
-        epochs, config = epochs_of_noise(EPOCHS if name in GATED else FEWER.get(name, FEW)), monitor_named(name).config()
+        number = EPOCHS if name in GATED else FEWER.get(name, FEW)
+        epochs, config = epochs_of_noise(number), monitor_named(name).config()
 
         def once() -> int:
             with serial():

@@ -9,7 +9,6 @@ import sys
 
 import numpy as np
 from code_geometry import directions
-from numpy.typing import NDArray
 
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import solve_codes
@@ -38,7 +37,9 @@ def beyond(kind: str, codes: int, risk: float, size: float, trials: int, seed: i
     e, worst, root = worst_code(codes)
     y = SIGMA_M * np.random.default_rng(seed).normal(size=(trials, codes))
     y[:, worst] += SIGMA_M * size / root
-    v = watch(CodeEpochs.of(y, np.broadcast_to(e.los_enu, (trials, codes, 3)), SIGMA_M), monitor_named(kind).config(), risk)
+    v = watch(
+        CodeEpochs.of(y, np.broadcast_to(e.los_enu, (trials, codes, 3)), SIGMA_M), monitor_named(kind).config(), risk
+    )
     error = np.hypot(*v.position_enu_m[:, :2].T)
     return float((v.usable & (error > v.hpl_m[:, 0])).mean()), float((~v.alarm).mean())
 

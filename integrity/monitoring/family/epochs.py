@@ -149,9 +149,10 @@ class CodeEpochs:
         back = (np.diff(self.time_s) < 0.0) & (np.diff(self.drive) == 0)
         if back.any():
             k = int(back.argmax()) + 1
+            before, now = self.time_s[k - 1], self.time_s[k]
             raise InputError(
-                f"time_s must be ascending within a drive, got {self.time_s[k]} after {self.time_s[k - 1]} at epoch {k}: "
-                "sort the epochs, or give the later ones another number of drive"
+                f"time_s must be ascending within a drive, got {now} after {before} at epoch {k}: sort the epochs, or "
+                "give the later ones another number of drive"
             )
 
     def _check_more(self) -> None:
@@ -227,6 +228,7 @@ def _require_where(
     if bad.any():
         at = np.argwhere(bad)[0]
         bounds = "be finite" if np.isinf(low) else f"be finite and in [{low:g}, {high:g}]"
+        place = tuple(map(int, at))
         raise InputError(
-            f"{name} must {bounds} where it counts, got {value[tuple(at)]} at {tuple(map(int, at))}: correct it, or {remedy}"
+            f"{name} must {bounds} where it counts, got {value[place]} at {place}: correct it, or {remedy}"
         )

@@ -33,9 +33,7 @@ def fixed_carriers(work: LevelWork) -> Remembered:
     level = root_level(left, fit, config, work.risks, work.epochs.fix_risk)
     level = np.where(tested[:, None], level, np.inf)
     position = np.where(tested[:, None], fit.x_m, work.fit.x_m)
-    return Remembered(
-        position, level, np.asarray(alarm), np.ones(tested.size, bool), left.used, rows.used & ~left.used
-    )
+    return Remembered(position, level, np.asarray(alarm), np.ones(tested.size, bool), left.used, rows.used & ~left.used)
 
 
 def _rows_of(e: CodeEpochs) -> CodeEpochs:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit, solve_codes
 from lanebound.integrity.monitoring.family.levels import LevelWork, noncentralities, normal_factor
 from lanebound.integrity.monitoring.family.memory import Remembered
