@@ -31,7 +31,7 @@ from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import FAMILY, MonitorKind, applicable, monitor_named
 from lanebound.integrity.monitoring.family.levels import predicted_level
-from lanebound.integrity.monitoring.family.monitor import OF_SMALLEST, watch
+from lanebound.integrity.monitoring.family.monitor import BY_ALL_RISKS, watch
 from lanebound.integrity.monitoring.family.outcome import MonitorVerdicts
 from lanebound.integrity.replay.city_report import read_city
 from lanebound.integrity.replay.code_epochs import TrackedEpochs, recorded_epochs
@@ -235,8 +235,8 @@ def place_counts(
 
 
 def _verdicts(config: MonitorsConfig, epochs: CodeEpochs, monitor: FamilyMonitorConfig) -> list[MonitorVerdicts]:
-    """Verdicts at all risks; one after another where the position is that of the smallest risk asked."""
-    if monitor.level in OF_SMALLEST:
+    """Verdicts at all risks; one after another where the position or the alarm follows from all risks asked."""
+    if monitor.level in BY_ALL_RISKS:
         return [watch(epochs, monitor, risk) for risk in config.risks]
     return [watch(epochs, monitor, config.risks)]
 

@@ -172,7 +172,7 @@ class CodeEpochs:
                 _require_where(size, getattr(self, size), kept, -MOST_M, MOST_M, remedy)
                 _require_where(sigma, getattr(self, sigma), kept, LEAST_SIGMA_M, MOST_SIGMA_M, remedy)
         if self.fix_risk is not None and self.fixed_kept is not None:
-            _require_where("fix_risk", self.fix_risk, self.fixed_kept.any(-1), 0.0, 1.0, "clear fixed_kept")
+            _require_where("fix_risk", self.fix_risk, np.asarray(self.fixed_kept.any(-1)), 0.0, 1.0, "clear fixed_kept")
 
     def take(self, rows: ArrayLike | slice) -> CodeEpochs:
         """Some of the epochs, by mask, index or slice."""

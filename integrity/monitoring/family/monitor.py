@@ -25,7 +25,7 @@ from lanebound.integrity.monitoring.family.vertical import vertical_level
 from lanebound.integrity.monitoring.family.weighting import weighted_codes
 from lanebound.integrity.positioning.least_squares import Solvability
 
-__all__ = ["GOES_ON", "MEMORY", "OF_SMALLEST", "new_memory", "watch"]
+__all__ = ["BY_ALL_RISKS", "GOES_ON", "MEMORY", "new_memory", "watch"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -46,8 +46,8 @@ GOES_ON: dict[LevelKind, type[Memory]] = {
     LevelKind.EXTENDED: BankMemory,
 }
 """Levels whose memory can be kept from call to call."""
-OF_SMALLEST = {LevelKind.SEPARATION_ODDS, LevelKind.ROAD}
-"""Levels whose codes or test are those of the smallest risk asked for; :func:`watch` tells more."""
+BY_ALL_RISKS = {LevelKind.SEPARATION_ODDS, LevelKind.ROAD}
+"""Levels whose codes or alarm follow from all risks asked for; :func:`watch` tells more."""
 AT_ONCE = 4096  # epochs of a snapshot monitor that are solved together; keeps arrays in the cache
 
 
@@ -62,8 +62,8 @@ def watch(
 ) -> MonitorVerdicts:
     """Verdicts of a monitor on epochs at one or more risks.
 
-    A level is that of its own risk, whatever other risks are asked for. The codes that odds leave out, and with them
-    the one position, are those of the smallest risk; so is the position's test of ``road``.
+    A level is that of its own risk, whatever other risks are asked for. Only the codes that odds leave out, and with
+    them the one position, are those of the smallest risk; and ``road`` raises its alarm where no risk has a level.
 
     Parameters
     ----------
