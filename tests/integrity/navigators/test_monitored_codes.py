@@ -160,7 +160,7 @@ def test_the_memory_of_a_vehicle_is_that_of_its_recorded_epochs(monitor: str) ->
         alone = watch(joined, navigator._monitor, risks)
         together = np.concatenate([found.hpl_m[vehicle : vehicle + 1] for _, found in asked])
         np.testing.assert_allclose(together, alone.hpl_m, rtol=1e-12)
-        assert np.isfinite(alone.hpl_m[:, 0]).sum() > 6
+        assert np.isfinite(alone.hpl_m[:, 0]).sum() > 4
 
 
 @pytest.mark.parametrize("monitor", ["kipl", "eraim"])
