@@ -106,13 +106,12 @@ def alert_times(
 ) -> dict[str, Any]:
     """Response of a monitor to a fault, from epochs without it and with it: by vehicle, in seconds; None for never."""
     states = [_states(config, kind, changes, tracked, risk) for tracked in runs]
-    (_, _, *quiet), (error, available, *faulty) = states
+    (_, _, few, calm), (error, available, excluded, alert) = states
     batch = int(runs[0].epochs.drive[-1]) + 1
     time = runs[0].epochs.time_s.reshape(batch, -1)
     since = time - (drives.warm_up_s + config.onset_s)
     step = float(np.median(np.diff(time[0])))
-    more = [with_it > without for with_it, without in zip(faulty, quiet, strict=True)]
-    noticed = np.any(more, axis=0).reshape(batch, -1) & (since > 0.0)
+    noticed = ((excluded > few) | (alert & ~calm)).reshape(batch, -1) & (since > 0.0)
     beyond = (error > config.alert_limit_m).reshape(batch, -1) & (since > 0.0)
     misled = beyond & available.reshape(batch, -1)
     when = np.where(noticed, since, np.inf).min(-1)

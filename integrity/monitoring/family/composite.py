@@ -31,7 +31,8 @@ class CompositeMemory(Memory):
     @classmethod
     def new(cls, batch: int, columns: int, risks: int) -> CompositeMemory:
         """See :class:`~lanebound.integrity.monitoring.family.memory.Memory`."""
-        return cls(*np.zeros((4, batch, columns)), np.zeros((batch, columns), bool), np.zeros((batch, 1)))
+        mean, variance, lag, before = np.zeros((4, batch, columns))
+        return cls(mean, variance, lag, before, np.zeros((batch, columns), bool), np.zeros((batch, 1)))
 
     def split(self, time_s: Array, error: Array, tested: Bools, stated: Array, window_s: float) -> tuple[Array, Array]:
         """Variance of the innovations and size of the predicted part of each code, (B, m) each [m^2], [m].
