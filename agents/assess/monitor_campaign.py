@@ -1,9 +1,9 @@
 """The fault campaign of monitors: time until each one notices a fault, and for how long it misleads before it does.
 
 Vehicles drive a street twice with the same noise, with a fault and without it, so that all differences are effects of
-the fault. A monitor notices a fault in the first epoch in which it raises an alarm, excludes a code, or has no level
-within the alert limit, other than without the fault. The time to alert runs while the position is off by more than the
-alert limit and declared available.
+the fault. A monitor notices a fault in the first epoch in which it raises an alarm or has no level within the alert
+limit where it does not so without the fault, or excludes more codes than without it. The time to alert runs while the
+position is off by more than the alert limit and declared available.
 """
 
 from __future__ import annotations
@@ -106,12 +106,12 @@ def alert_times(
 ) -> dict[str, Any]:
     """Response of a monitor to a fault, from epochs without it and with it: by vehicle, in seconds; None for never."""
     states = [_states(config, kind, changes, tracked, risk) for tracked in runs]
-    (_, _, quiet), (error, available, faulty) = states
+    (_, _, few, calm), (error, available, excluded, alert) = states
     batch = int(runs[0].epochs.drive[-1]) + 1
     time = runs[0].epochs.time_s.reshape(batch, -1)
     since = time - (drives.warm_up_s + config.onset_s)
     step = float(np.median(np.diff(time[0])))
-    noticed = (faulty != quiet).reshape(batch, -1) & (since > 0.0)
+    noticed = ((excluded > few) | (alert & ~calm)).reshape(batch, -1) & (since > 0.0)
     beyond = (error > config.alert_limit_m).reshape(batch, -1) & (since > 0.0)
     misled = beyond & available.reshape(batch, -1)
     when = np.where(noticed, since, np.inf).min(-1)
@@ -124,13 +124,12 @@ def alert_times(
 
 def _states(
     config: CampaignConfig, kind: MonitorKind, changes: Mapping[str, Any], tracked: TrackedEpochs, risk: float
-) -> tuple[Array, Bools, NDArray[np.int64]]:
-    """Horizontal errors, availability, and a number of what the monitor says of each epoch."""
+) -> tuple[Array, Bools, NDArray[np.int64], Bools]:
+    """Horizontal errors, availability, number of excluded codes, and alarm or no level within the limit (E,) each."""
     v = watch(tracked.epochs, kind.config(dict(changes)), risk)
     error = np.hypot(*(v.position_enu_m - tracked.truth_enu_m)[:, :2].T)
     available = np.asarray(v.usable & (v.hpl_m[:, 0] <= config.alert_limit_m))
-    said = 2 * v.excluded.sum(-1) + (v.alarm | ~available)
-    return error, available, np.asarray(said, dtype=np.int64)
+    return error, available, np.asarray(v.excluded.sum(-1)), np.asarray(v.alarm | ~available)
 
 
 def _longest(held: Bools) -> int:

@@ -25,11 +25,14 @@ from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
+from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import FAMILY, MonitorKind, applicable, monitor_named
 from lanebound.integrity.monitoring.family.levels import predicted_level
-from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.monitoring.family.monitor import BY_ALL_RISKS, watch
+from lanebound.integrity.monitoring.family.outcome import MonitorVerdicts
 from lanebound.integrity.replay.city_report import read_city
 from lanebound.integrity.replay.code_epochs import TrackedEpochs, recorded_epochs
 from lanebound.integrity.sky.systems import System
@@ -57,6 +60,7 @@ class MonitorsConfig(Config):
     )
     streets: int = Field(6, ge=1, description="streets of each sky")
     every: int = Field(5, ge=1, description="every n-th epoch of simulated drives is used")
+    changes: dict[str, Any] = Field({}, description="of the configuration of every monitor: changes.inlier_sigmas=2")
     block_s: float = Field(20.0, gt=0, description="length of a block of a recorded drive [s]")
     errors: str | None = Field(None, description="preset or file of fit-errors, in place of a fit")
     fit: FitErrorsConfig = FitErrorsConfig()
@@ -185,25 +189,31 @@ def place_counts(
 ) -> dict[str, Any]:
     """Counts of one monitor by unit, and samples of errors and operative levels [m].
 
-    An epoch without truth does not count. An alarm is false if the position is within the largest alert limit.
+    An epoch without truth does not count. An alarm is false if the position is within the largest alert limit. Levels
+    at a risk are counted where the position is usable and has a finite one at that risk.
     """
     begun = time.perf_counter()
-    v = watch(tracked.epochs, kind.config({"vertical": True, **changes}), config.risks)
-    cost_us = 1e6 * (time.perf_counter() - begun) / max(tracked.epochs.count, 1)
-    off = v.position_enu_m - tracked.truth_enu_m
-    error, height = np.hypot(*off[:, :2].T), np.abs(off[:, 2])
-    level, usable = v.hpl_m[:, config.operative], v.usable & tracked.known
-    upward = np.isfinite(v.vpl_m).any(-1) & usable
-    limits = np.array(config.alert_limits_m)
+    verdicts = _verdicts(config, tracked.epochs, kind.config({"vertical": True, **config.changes, **changes}))
+    cost_us = 1e6 * (time.perf_counter() - begun) / max(tracked.epochs.count * len(verdicts), 1)
+    v, limits = verdicts[config.operative % len(verdicts)], np.array(config.alert_limits_m)
+    errors = [np.hypot(*(one.position_enu_m - tracked.truth_enu_m)[:, :2].T) for one in verdicts]
+    columns = range(len(config.risks))
+    by_risk = np.stack([errors[r % len(verdicts)] for r in columns], -1)
+    levels = np.concatenate([one.hpl_m for one in verdicts], -1)
+    usable_at = np.stack([verdicts[r % len(verdicts)].usable for r in columns], -1) & tracked.known[:, None]
+    shown = usable_at & np.isfinite(levels)
+    error, height = by_risk[:, config.operative], np.abs(v.position_enu_m[:, 2] - tracked.truth_enu_m[:, 2])
+    level, usable = levels[:, config.operative], usable_at[:, config.operative]
+    up = v.vpl_m[:, config.operative if len(verdicts) == 1 else 0]
+    upward, alarm = np.isfinite(up) & usable, v.alarm & tracked.known
     available = usable[:, None] & (level[:, None] <= limits)
-    alarm = v.alarm & tracked.known
     per_epoch = {
         "epochs": tracked.known,
         "usable": usable,
-        "exceed": usable[:, None] & (error[:, None] > v.hpl_m),
-        "levels": usable & np.isfinite(level),
+        "shown": shown,
+        "exceed": shown & (by_risk > levels),
         "upward": upward,
-        "exceed_up": upward & (height > v.vpl_m[:, config.operative]),
+        "exceed_up": upward & (height > up),
         "alarms": alarm,
         "false_alarms": alarm & (error <= limits[-1]),
         "available": available,
@@ -212,16 +222,23 @@ def place_counts(
     }
     count = int(unit.max(initial=0)) + 1
     totals = {name: _by_unit(values, unit, count) for name, values in per_epoch.items()}
-    shown = np.flatnonzero(tracked.known)
-    shown = shown[:: max(1, -(-shown.size // MOST_SAMPLES))]
+    sample = np.flatnonzero(tracked.known)
+    sample = sample[:: max(1, -(-sample.size // MOST_SAMPLES))]
     return totals | {
         "cost_us": cost_us,
         "stated_false_alarm": float(v.false_alarm.mean()),
-        "sample_error_m": np.round(error[shown], 3).tolist(),
-        "sample_level_m": np.round(np.minimum(level, NO_LEVEL_M)[shown], 3).tolist(),
-        "sample_usable": usable[shown].tolist(),
-        "sample_vpl_m": np.round(np.minimum(v.vpl_m[:, config.operative], NO_LEVEL_M)[shown], 3).tolist(),
+        "sample_error_m": np.round(error[sample], 3).tolist(),
+        "sample_level_m": np.round(np.minimum(level, NO_LEVEL_M)[sample], 3).tolist(),
+        "sample_shown": shown[sample, config.operative].tolist(),
+        "sample_vpl_m": np.round(np.minimum(up, NO_LEVEL_M)[sample], 3).tolist(),
     }
+
+
+def _verdicts(config: MonitorsConfig, epochs: CodeEpochs, monitor: FamilyMonitorConfig) -> list[MonitorVerdicts]:
+    """Verdicts at all risks; one after another where the position or the alarm follows from all risks asked."""
+    if monitor.level in BY_ALL_RISKS:
+        return [watch(epochs, monitor, risk) for risk in config.risks]
+    return [watch(epochs, monitor, config.risks)]
 
 
 def _by_unit(values: NDArray[np.bool_], unit: NDArray[np.int64], count: int) -> list[Any]:
@@ -249,9 +266,9 @@ def _figures(config: MonitorsConfig, parts: Sequence[Mapping[str, Any]]) -> dict
         return np.concatenate([np.asarray(part[name], dtype=np.int64) for part in parts])
 
     epochs, usable, total = joined("epochs"), joined("usable"), max(int(joined("epochs").sum()), 1)
-    exceed, hmi, available = joined("exceed"), joined("hmi"), joined("available")
+    shown, exceed, hmi, available = joined("shown"), joined("exceed"), joined("hmi"), joined("available")
     error, level, up, good = (np.concatenate([np.asarray(part[f"sample_{name}"]) for part in parts])
-                              for name in ("error_m", "level_m", "vpl_m", "usable"))  # fmt: skip
+                              for name in ("error_m", "level_m", "vpl_m", "shown"))  # fmt: skip
     good = good.astype(bool)
     return {
         "usable": float(usable.sum() / total),
@@ -259,7 +276,8 @@ def _figures(config: MonitorsConfig, parts: Sequence[Mapping[str, Any]]) -> dict
         "false_alarms": rate_by_street(joined("false_alarms"), epochs),
         "stated_false_alarm": float(np.mean([part["stated_false_alarm"] for part in parts])),
         "excluded": float(joined("excluded").sum() / total),
-        "exceed": {f"{risk:g}": rate_by_street(exceed[:, r], usable) for r, risk in enumerate(config.risks)},
+        "shown": {f"{risk:g}": float(shown[:, r].sum() / total) for r, risk in enumerate(config.risks)},
+        "exceed": {f"{risk:g}": rate_by_street(exceed[:, r], shown[:, r]) for r, risk in enumerate(config.risks)},
         "available": {f"{limit:g}": float(available[:, a].sum() / total)
                       for a, limit in enumerate(config.alert_limits_m)},
         "hmi": {f"{limit:g}": rate_by_street(hmi[:, a], epochs) for a, limit in enumerate(config.alert_limits_m)},
@@ -297,13 +315,14 @@ def monitor_rows(config: MonitorsConfig, place: Mapping[str, Any], bands: bool =
         shares = [f"{100.0 * f['available'][limit]:.0f}" for limit in shown]
         hmi = max(f["hmi"][limit]["rate"] for limit in limits)
         rows.append((
-            name, *rates, level, up, error, " / ".join(shares), f"{100.0 * f['usable']:.0f}",
+            name, *rates, level, up, error, " / ".join(shares),
+            " / ".join(f"{100.0 * share:.0f}" for share in f["shown"].values()),
             f"{100.0 * f['alarms']:.1f} ({100.0 * f['false_alarms']['rate']:.1f})", f"{hmi:.2g}", f"{f['cost_us']:.0f}",
         ))  # fmt: skip
     heads = (
         "monitor", *(f"at {key}" for key in next(iter(place["monitors"].values()))["exceed"]), f"HPL at {risk} [m]",
         "VPL [m], over risk", "error [m]",
-        f"at AL {' / '.join(shown)} m [%]", "usable [%]", "alarms (false) [%]", "HMI", "us",
+        f"at AL {' / '.join(shown)} m [%]", "with a level [%]", "alarms (false) [%]", "HMI", "us",
     )  # fmt: skip
     return heads, rows
 

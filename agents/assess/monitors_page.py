@@ -29,7 +29,8 @@ STYLE = """body{font:14px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:8
 table{border-collapse:collapse;font-size:12px}th,td{padding:.2rem .5rem;border-bottom:1px solid #ddd;text-align:right}
 th:first-child,td:first-child{text-align:left}div{overflow-x:auto}img{width:100%}caption{text-align:left}"""
 NOTE = (
-    "Exceedances are rates of errors beyond the level among usable epochs, over the risk: above 1 breaks a promise. "
+    "Exceedances are rates of errors beyond the level among the usable epochs that have a level at that risk, over the "
+    "risk: above 1 breaks a promise. With a level: shares of these epochs at the risks of the exceedances. "
     "In brackets the 95 % interval by street, or by block of one recorded drive, which is too narrow. "
     "Levels and errors: median / 95 %. HMI: largest rate over the alert limits. An alarm is false if the position is "
     "within the largest alert limit. us: microseconds for an epoch on one core."

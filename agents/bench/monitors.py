@@ -9,16 +9,18 @@ import numpy as np
 from lanebound.agents.bench.rows import Row, alternate
 from lanebound.integrity.core.accel import serial
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
-from lanebound.integrity.monitoring.family.kinds import monitor_named
-from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.monitoring.family.kinds import CODES, FAMILY, monitor_named
+from lanebound.integrity.monitoring.family.monitor import MEMORY, watch
 
 __all__ = ["measure"]
 
 SATELLITES, SYSTEMS, EPOCHS = 30, 4, 4096
 GATE = 1e5  # epochs/s of snapshot monitors that have one solution and a closed level; issue 25
 GATED = ("residual", "weighted", "ibpl", "sbas")
-SHOWN = (*GATED, "residual_fde", "separation", "separation_root", "odds", "araim", "p_ransac", "igg3")
-FEWER = {"p_ransac": 64, "araim": 256}
+SHOWN = tuple(k.name for k in FAMILY.values() if k.needs == (CODES,) and k.config().level not in MEMORY)
+"""Snapshot monitors of codes; those with an exclusion, weights or modes do not reach the gate, and are shown."""
+FEWER = {"ransac": 64, "p_ransac": 64, "araim": 256, "araim_lpv200": 256}
+FEW = 1024  # epochs of other kinds without a gate
 
 
 def epochs_of_noise(epochs: int, seed: int = 1) -> CodeEpochs:
@@ -36,7 +38,8 @@ def measure(rounds: int = 5, seconds: float = 0.4) -> list[Row]:
     """Rows of all shown monitors."""
 
     def work(name: str) -> Callable[[], int]:
-        epochs, config = epochs_of_noise(FEWER.get(name, EPOCHS)), monitor_named(name).config()
+        number = EPOCHS if name in GATED else FEWER.get(name, FEW)
+        epochs, config = epochs_of_noise(number), monitor_named(name).config()
 
         def once() -> int:
             with serial():

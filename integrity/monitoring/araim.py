@@ -77,7 +77,8 @@ def levels_at(
 ) -> tuple[Array, Array]:
     """Levels of Up (E, R), and of East and North (E, R, 2), by two runs of the kernel (ADD v3.1 eq 12 to 29).
 
-    The modes and what they leave are the same at all risks, so that one search serves all.
+    The modes and what they leave are the same at all risks, so that one search serves all. A mode without a solution
+    leaves no level: what cannot be monitored must be no mode, but a part of ``modes.unmonitored``.
 
     Parameters
     ----------
@@ -155,25 +156,31 @@ class SortedModes:
 
 def checked_levels(
     los_enu: Array, group: NDArray[np.int64], variance_m2: Array, y_m: Array, config: AraimConfig, modes: SortedModes,
-    times: Array,
+    times: Array, whole: Array | None = None,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:  # fmt: skip
     """:func:`levels_at` without biases, for variances that are those for accuracy, and whether the separation of any
-    mode exceeds its threshold (E,). The levels count on that test. y (E, m) observed minus computed [m]."""
-    epochs, risks = los_enu.shape[0], np.asarray(times, dtype=np.float64)
+    mode exceeds its threshold (E,). The levels count on that test. y (E, m) observed minus computed [m].
+
+    Modes without a solution at an epoch are not monitored there: they are spent as those that are no modes. All of
+    these take the same share of both budgets, their prior over ``whole`` (R,), by default the risk of the vertical and
+    of the plane together, as ADD v3.1 has it.
+    """
+    epochs, scale = los_enu.shape[0], np.asarray(times, dtype=np.float64)
+    shared = config.risk * scale if whole is None else np.ascontiguousarray(whole, dtype=np.float64)
     found, alarm = [], np.zeros(epochs, bool)
     for vertical in (True, False):
         rules = config.axis_rules(vertical)
-        spent = modes.unmonitored * (1.0 if vertical else config.horizontal_risk / config.risk)
         k_fa = float(rules.false_alarm_factors(group.size + len(modes))[-1])
         tables = ModeTables(
             modes.pair, modes.system, modes.other, modes.pair_prior, modes.system_prior, modes.other_prior,
-            np.full(GROUPS, config.satellite_prior), k_fa, rules.axis_budgets(rules.integrity_risk * risks, spent),
+            np.full(GROUPS, config.satellite_prior), k_fa, rules.axis_budgets(rules.integrity_risk * scale), shared,
+            modes.unmonitored,
         )  # fmt: skip
         rows = AraimEpochs(
             np.ascontiguousarray(los_enu[..., UP_FIRST] if vertical else los_enu), np.ascontiguousarray(group),
             np.ascontiguousarray(variance_m2), np.ascontiguousarray(y_m),
         )  # fmt: skip
-        levels, worst = np.empty((epochs, risks.size, 2)), np.empty((epochs, 2))
+        levels, worst = np.empty((epochs, scale.size, 2)), np.empty((epochs, 2))
         run_rows(level_modes, epochs, rows, tables, levels, worst, row_us=EPOCH_US)
         found.append(levels)
         alarm |= (worst[:, :1] if vertical else worst).max(-1) > k_fa

@@ -62,7 +62,8 @@ class ModeTables(NamedTuple):
 
     pair (P, 2) satellites; system (G, 2) group, and one more satellite or -1, ascending by group; other (M, n) bool;
     pair_prior, system_prior, other_prior of them [-]; single (MAX_GROUPS,) prior of one satellite [-]; k_fa threshold
-    of every separation; budgets (R, 2) risk of each axis, less what is spent [-].
+    of every separation; budgets (R, 2) risk of each axis if all modes are monitored, whole (R,) the risk of which
+    faults that are not monitored take their share, unmonitored the prior of those that are no modes [-].
     """
 
     pair: Ints
@@ -74,6 +75,8 @@ class ModeTables(NamedTuple):
     single: Array
     k_fa: float
     budgets: Array
+    whole: Array
+    unmonitored: float
 
 
 class AraimScratch(NamedTuple):
@@ -93,10 +96,14 @@ class AraimScratch(NamedTuple):
 
 @jit
 def level_modes(first: int, last: int, epochs: AraimEpochs, tables: ModeTables, levels: Array, worst: Array) -> None:
-    """Levels (E, R, 2) of both axes, inf where there is none, and the largest separation in its deviations (E, 2)."""
+    """Levels (E, R, 2) of both axes, inf where there is none, and the largest separation in its deviations (E, 2).
+
+    A mode without a solution cannot be monitored: its prior is spent with those of the faults that are no modes (ADD
+    v3.1, P_not_monitored).
+    """
     n = epochs.group.shape[0]
     subsets = tables.pair.shape[0] + tables.system.shape[0] + tables.other.shape[0]
-    w, bias = capacity(n), np.zeros(capacity(n))
+    w, bias, budgets = capacity(n), np.zeros(capacity(n)), np.empty(tables.budgets.shape)
     x = AraimScratch(
         geometry_scratch(n), moment_scratch(n), mode_scratch(n, subsets), geometry_scratch(n), np.zeros((w, 3)),
         np.zeros(w, dtype=np.int64), np.zeros(w), np.zeros(w), np.zeros(w, dtype=np.int64),
@@ -121,7 +128,17 @@ def level_modes(first: int, last: int, epochs: AraimEpochs, tables: ModeTables, 
             for q in range(AXES):
                 if x.modes.delta[q, k] > 0.0:
                     worst[i, q] = max(worst[i, q], abs(x.modes.separation[q, k]) / x.modes.delta[q, k])
-        multi_hypothesis_pl(count, tables.budgets, lost, False, x.modes, levels[i])
+        spend(tables.unmonitored + lost, tables, budgets)
+        multi_hypothesis_pl(count, budgets, 0.0, False, x.modes, levels[i])
+
+
+@jit(borrows=True)
+def spend(prior: float, tables: ModeTables, budgets: Array) -> None:
+    """``budgets (1 - prior / whole)``, the risk left for the modes; 0 where faults not monitored take all of it."""
+    for r in range(budgets.shape[0]):
+        left = max(1.0 - prior / tables.whole[r], 0.0)
+        for q in range(AXES):
+            budgets[r, q] = left * tables.budgets[r, q]
 
 
 @jit

@@ -3,6 +3,9 @@
 Between code positions, and where the monitor gives none, wheels and gyro move the position and the level grows. The
 heading is that of the gyro, calibrated by Doppler. The level bounds the horizontal error, so that it is that of both
 axes. No reference station, no carriers: metres, not centimetres.
+
+Monitors with a memory (KIPL, ERAIM, the composite) have one for each vehicle. Their steps are the displacement by
+wheels and gyro between two code positions, with the deviation that dead reckoning has.
 """
 
 from __future__ import annotations
@@ -27,7 +30,9 @@ from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.levels import normal_factor
-from lanebound.integrity.monitoring.family.monitor import MEMORY, watch
+from lanebound.integrity.monitoring.family.memory import Memory
+from lanebound.integrity.monitoring.family.monitor import GOES_ON, MEMORY, new_memory, watch
+from lanebound.integrity.monitoring.family.outcome import MonitorVerdicts
 from lanebound.integrity.monitoring.family.rejection import global_threshold
 from lanebound.integrity.navigators.context_guard import CONTEXT
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, register_navigator
@@ -62,18 +67,18 @@ class MonitorChoice(Config):
         return {"kind": data} if isinstance(data, str) else data
 
     @model_validator(mode="after")
-    def _guards_an_epoch_alone(self) -> MonitorChoice:
-        kind, there = monitor_named(self.kind), {"codes", "fit"}
+    def _guards_a_drive(self) -> MonitorChoice:
+        kind, there = monitor_named(self.kind), {"codes", "fit", "steps"}
         if "fixed" in kind.needs:
             raise ConfigError(
                 f"kind must be a monitor of codes, got {self.kind!r}, of fixed carriers: 'navigator: {{kind: "
                 "rtk_reckoning}' is that monitor in a drive, with the risk of its fixes"
             )
-        memory = {level.value for level in MEMORY}
-        if not there.issuperset(kind.needs) or kind.changes.get("level") in memory:
+        anchored = {level.value for level in MEMORY if level not in GOES_ON}
+        if not there.issuperset(kind.needs) or kind.changes.get("level") in anchored:
             raise ConfigError(
-                f"kind must be a monitor that needs codes alone and has no memory, got {self.kind!r}: choose another "
-                "one of 'lanebound monitors'"
+                f"kind must be a monitor that needs codes and steps alone, got {self.kind!r}, which needs "
+                f"{' and '.join(kind.needs)}: choose another one of 'lanebound monitors'"
             )
         if "fit" in kind.needs and self.errors is None:
             raise ConfigError(f"errors must be given for {self.kind!r}, got nothing: name a preset of fit-errors")
@@ -141,7 +146,9 @@ def with_context(data: Any) -> Any:
 
 @dataclass
 class CodeBelief:
-    """Position (B, 3) [m], heading and its deviation (B,) [rad], level at each risk (B, R) [m], times (B,) [s]."""
+    """Position (B, 3) [m], heading and its deviation (B,) [rad], level at each risk (B, R) [m], times (B,) [s]; the
+    displacement since the monitor was asked (B, 2) [m], its deviation (B,), inf where the monitor begins anew, and the
+    memory of the monitor."""
 
     position_m: Array
     heading_rad: Array
@@ -152,6 +159,9 @@ class CodeBelief:
     since_calibration_s: Array
     due_s: Array
     alert: AlertState
+    step_m: Array
+    step_sigma_m: Array
+    memory: Memory | None
 
 
 class MonitoredCodesNavigator(Navigator):
@@ -173,7 +183,8 @@ class MonitoredCodesNavigator(Navigator):
         zero, never = np.zeros(batch), np.full(batch, np.inf)
         return CodeBelief(
             np.zeros((batch, 3)), zero.copy(), np.full(batch, np.pi), np.full((batch, self._risks.size), np.inf),
-            never.copy(), never.copy(), never.copy(), zero.copy(), AlertState.initial(batch),
+            never.copy(), never.copy(), never.copy(), zero.copy(), AlertState.initial(batch), np.zeros((batch, 2)),
+            never.copy(), new_memory(self._monitor, batch, len(self.track.system), self._risks.size),
         )  # fmt: skip
 
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
@@ -189,6 +200,7 @@ class MonitoredCodesNavigator(Navigator):
             position_en_m, heading_rad, sigma_heading_rad,
         )  # fmt: skip
         b.level_m[rows], b.sigma_m[rows], b.since_fix_s[rows], b.due_s[rows] = self._factor * sigma_m, sigma_m, 0.0, 0.0
+        b.step_sigma_m[rows] = np.inf
 
     def locate(self, m: Measurements) -> Solution:
         """Move, calibrate, fix where due, and report."""
@@ -204,12 +216,14 @@ class MonitoredCodesNavigator(Navigator):
         middle = b.heading_rad + 0.5 * turn
         velocity = speed[:, None] * np.stack([np.sin(middle), np.cos(middle)], -1)
         b.position_m[:, :2] += c.dt_s * velocity
+        b.step_m += c.dt_s * velocity
         b.heading_rad = wrap_angle(b.heading_rad + turn)
         drift = c.dt_s * c.gyro_bias_radps + c.positioning.heading.gyro_scale * np.abs(turn)
         b.sigma_heading_rad = np.minimum(b.sigma_heading_rad + drift, np.pi)
         grown = c.dt_s * np.hypot(c.speed_sigma_mps * (np.abs(speed) > 0.0), np.abs(speed) * b.sigma_heading_rad)
         b.level_m += self._factor * grown[:, None]
         b.sigma_m += grown
+        b.step_sigma_m += grown
         for since in (b.since_fix_s, b.since_calibration_s, b.due_s):
             since += c.dt_s
         b.level_m[b.since_fix_s > c.longest_s] = np.inf
@@ -244,11 +258,11 @@ class MonitoredCodesNavigator(Navigator):
         if not due.size:
             return hdop, none, none.copy()
         epochs = code_epochs(m, self.config.budget, due)
-        found = watch(epochs, self._monitor, self._risks)
-        usable = found.usable & np.isfinite(found.hpl_m[:, 0])
+        found = self._asked(epochs, due)
+        fit = solve_codes(epochs.with_codes(used=found.used))
+        usable = found.usable & fit.solved & np.isfinite(found.hpl_m[:, 0])  # without codes it is dead reckoning's
         rows = due[usable]
         b.position_m[rows], b.level_m[rows] = found.position_enu_m[usable], found.hpl_m[usable]
-        fit = solve_codes(epochs.with_codes(used=found.used))
         b.sigma_m[rows], b.since_fix_s[rows] = fit.major_m[usable], 0.0
         b.due_s[due] = 0.0
         unit = solve_codes(epochs.with_codes(sigma_m=np.ones_like(epochs.sigma_m)))
@@ -256,6 +270,19 @@ class MonitoredCodesNavigator(Navigator):
         satellites, excluded = none.copy(), none.copy()
         satellites[due], excluded[due] = fit.used.sum(-1), found.excluded.sum(-1)
         return hdop, satellites, excluded
+
+    def _asked(self, epochs: CodeEpochs, due: NDArray[np.int64]) -> MonitorVerdicts:
+        """Verdicts of the monitor, whose memory goes on."""
+        b = self.state.belief
+        if b.memory is None:
+            return watch(epochs, self._monitor, self._risks)
+        step = np.concatenate([b.step_m[due], np.zeros((due.size, 1))], 1)
+        moved = replace(epochs, step_enu_m=step, step_sigma_m=b.step_sigma_m[due])
+        part = b.memory.take(due)
+        found = watch(moved, self._monitor, self._risks, part)
+        b.memory.put(due, part)
+        b.step_m[due], b.step_sigma_m[due] = 0.0, 0.0
+        return found
 
     def _report(
         self, m: Measurements, velocity: Array, count: NDArray[np.int64], hdop: Array, satellites: NDArray[np.int64],

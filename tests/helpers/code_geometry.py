@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 
 Array = NDArray[np.float64]
+
+
+def directions(azimuth_deg: ArrayLike, elevation_deg: ArrayLike) -> Array:
+    """Unit vectors (m, 3) of azimuths and elevations."""
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
+    flat = np.cos(elevation)
+    return np.stack([flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation)], -1)
 
 
 def sky(rng: np.random.Generator, satellites: int, epochs: int = 1) -> Array:

@@ -18,6 +18,8 @@ Ints = NDArray[np.int64]
 
 MOST_SYSTEMS = 8
 UNIT_TOLERANCE = 1e-6
+MOST_M = 1e9  # of a code or a carrier, observed minus computed: beyond it squares lose their digits
+LEAST_SIGMA_M, MOST_SIGMA_M = 1e-6, 1e6
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class CodeEpochs:
 
     Attributes
     ----------
-    time_s : (E,) ascending within a drive.
+    time_s : (E,) [s], not descending within a drive.
     y_m : (E, m) observed minus computed codes; any finite value where not used.
     los_enu : (E, m, 3) unit vectors receiver to satellite; any finite value where not used.
     sigma_m : (E, m) standard deviation stated for each code.
@@ -113,8 +115,9 @@ class CodeEpochs:
         Raises
         ------
         InputError
-            Shapes that do not fit, used entries that are not finite, no unit vectors, deviations that are not positive,
-            systems outside 0 to 7.
+            Shapes that do not fit; times or numbers of drives that go back; systems outside 0 to 7; where used: no unit
+            vectors, codes of 1e9 m or more, deviations outside 1e-6 to 1e6 m, elevations outside +-90 degrees, entries
+            that are not finite; of steps, carriers and fixes the same where they are known or kept.
         """
         epochs, columns = self.y_m.shape
         for name, shape in _shapes(epochs, columns).items():
@@ -122,16 +125,54 @@ class CodeEpochs:
             if value is not None:
                 require_shape(name, np.asarray(value), shape)
         require_in_range("system", self.system, 0, MOST_SYSTEMS - 1)
+        self._check_order()
         used = self.used
-        for name in ("y_m", "sigma_m", "cn0_dbhz", "elevation_rad"):
-            _require_used(name, getattr(self, name), used)
-        _require_used("los_enu", self.los_enu.sum(-1), used)
-        if (self.sigma_m[used] <= 0.0).any():
-            raise InputError(f"sigma_m must be > 0, got {self.sigma_m[used].min()}: state a deviation, or clear used")
-        length = np.square(self.los_enu).sum(-1)[used]
-        if (np.abs(length - 1.0) > 2.0 * UNIT_TOLERANCE).any():
-            raise InputError("los_enu must be unit vectors where used, some are not: normalise them")
+        _require_where("y_m", self.y_m, used, -MOST_M, MOST_M)
+        _require_where("sigma_m", self.sigma_m, used, LEAST_SIGMA_M, MOST_SIGMA_M)
+        _require_where("cn0_dbhz", self.cn0_dbhz, used)
+        _require_where("elevation_rad", self.elevation_rad, used, -0.5 * np.pi, 0.5 * np.pi)
+        self._check_more()
+        seen = used
+        for kept in (self.carrier_kept, self.fixed_kept):
+            seen = seen if kept is None else seen | kept
+        length = np.square(self.los_enu).sum(-1)
+        if not (np.abs(length[seen] - 1.0) <= 2.0 * UNIT_TOLERANCE).all():
+            raise InputError("los_enu must be unit vectors where used or kept, some are not: normalise them")
         return self
+
+    def _check_order(self) -> None:
+        """Times that are finite and do not go back within a drive, and drives one after another."""
+        if not np.isfinite(self.time_s).all():
+            raise InputError("time_s must be finite, got nan or inf: leave these epochs out")
+        if (np.diff(self.drive) < 0).any():
+            raise InputError("drive must be ascending, got a lower number after a higher one: sort the epochs by drive")
+        back = (np.diff(self.time_s) < 0.0) & (np.diff(self.drive) == 0)
+        if back.any():
+            k = int(back.argmax()) + 1
+            before, now = self.time_s[k - 1], self.time_s[k]
+            raise InputError(
+                f"time_s must be ascending within a drive, got {now} after {before} at epoch {k}: sort the epochs, or "
+                "give the later ones another number of drive"
+            )
+
+    def _check_more(self) -> None:
+        """Steps, carriers and fixes where they are known or kept."""
+        if self.step_enu_m is not None and self.step_sigma_m is not None:
+            spread = self.step_sigma_m
+            if not (spread >= 0.0).all():  # nor nan
+                raise InputError(f"step_sigma_m must be >= 0, got {spread[~(spread >= 0.0)][0]}: inf where unknown")
+            known = np.repeat(np.isfinite(spread)[:, None], 3, axis=1)
+            _require_where("step_enu_m", self.step_enu_m, known, -MOST_M, MOST_M, "set step_sigma_m to inf")
+        for name, size, sigma, kept in (
+            ("carrier", "carrier_step_m", "carrier_sigma_m", self.carrier_kept),
+            ("fixed", "fixed_m", "fixed_sigma_m", self.fixed_kept),
+        ):
+            if kept is not None and getattr(self, size) is not None and getattr(self, sigma) is not None:
+                remedy = f"clear {name}_kept"
+                _require_where(size, getattr(self, size), kept, -MOST_M, MOST_M, remedy)
+                _require_where(sigma, getattr(self, sigma), kept, LEAST_SIGMA_M, MOST_SIGMA_M, remedy)
+        if self.fix_risk is not None and self.fixed_kept is not None:
+            _require_where("fix_risk", self.fix_risk, np.asarray(self.fixed_kept.any(-1)), 0.0, 1.0, "clear fixed_kept")
 
     def take(self, rows: ArrayLike | slice) -> CodeEpochs:
         """Some of the epochs, by mask, index or slice."""
@@ -178,10 +219,16 @@ def _shapes(epochs: int, columns: int) -> dict[str, tuple[int, ...]]:
     return {**of_epoch, **of_code, "los_enu": (*both, 3), "system": (columns,), "step_enu_m": (epochs, 3)}
 
 
-def _require_used(name: str, value: Array, used: Bools) -> None:
-    bad = used & ~np.isfinite(value)
+def _require_where(
+    name: str, value: Array, where: Bools, low: float = -np.inf, high: float = np.inf, remedy: str = "clear used"
+) -> None:
+    """Refuse entries that are not finite or outside the bounds, where they count."""
+    fine = (value >= low) & (value <= high) & np.isfinite(value)
+    bad = where & ~fine
     if bad.any():
         at = np.argwhere(bad)[0]
+        bounds = "be finite" if np.isinf(low) else f"be finite and in [{low:g}, {high:g}]"
+        place = tuple(map(int, at))
         raise InputError(
-            f"{name} must be finite where used, got {value[tuple(at)]} at {tuple(map(int, at))}: clear used"
+            f"{name} must {bounds} where it counts, got {value[place]} at {place}: correct it, or {remedy}"
         )

@@ -32,7 +32,8 @@ def fixed_carriers(work: LevelWork) -> Remembered:
     alarm = tested & (np.abs(fit.normalised).max(-1) > limit)
     level = root_level(left, fit, config, work.risks, work.epochs.fix_risk)
     level = np.where(tested[:, None], level, np.inf)
-    return Remembered(np.where(tested[:, None], fit.x_m, work.fit.x_m), level, np.asarray(alarm))
+    position = np.where(tested[:, None], fit.x_m, work.fit.x_m)
+    return Remembered(position, level, np.asarray(alarm), np.ones(tested.size, bool), left.used, rows.used & ~left.used)
 
 
 def _rows_of(e: CodeEpochs) -> CodeEpochs:

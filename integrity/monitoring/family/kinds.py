@@ -13,17 +13,19 @@ from lanebound.integrity.positioning.config import CODE_DOUBT
 
 __all__ = ["FAMILY", "MonitorKind", "applicable", "monitor_named"]
 
-MISSED = "P(error > HPL and no alarm) <= risk under one faulty code of the worst size"
-RISK = "P(error > HPL) <= risk with faults of their priors"
+MISSED = "a bias of one code whose mean effect on the position exceeds HPL is missed with P_MD = risk at most"
+ON_A_LINE = "approximate: bias and noise on one line; short of satellites P(error > HPL and no alarm) exceeds the risk"
+RISK = "P(error > HPL) <= risk with single faults of their priors; two at once are not counted (S1, S2)"
 NOMINAL = "P(error > HPL) <= risk of normal errors without faults"
 NONE = "none proven"
 EXCLUDING = (
-    "P(error > HPL) <= risk with faults of their priors if exclusion has left out the faulty codes; "
+    "P(error > HPL) <= risk with single faults of their priors if exclusion has left out the faulty codes; "
     "a wrong exclusion has no share of the risk"
 )
+ADVANCED = EXCLUDING.replace("single faults", "faults of up to two satellites and systems")
 CHOSEN = EXCLUDING + ", and if code_sigma_m, which is chosen, bounds the codes"
 MAPPED = EXCLUDING + ", and the map has no errors"
-FIXED = "P(error > HPL) <= risk with faults of their priors and of the integers, if exclusion is right"
+FIXED = "P(error > HPL) <= risk with single faults of their priors and of the integers, if exclusion is right"
 ODDS = "P(error > HPL) <= risk with codes off by their odds, independent given C/N0"
 CODES = "codes"
 
@@ -63,13 +65,13 @@ KINDS = (
     _kind("residual_fde", RESIDUAL, "the same after exclusion by local tests", "S3 III-A, S1 3.1",
           MISSED + ", if exclusion has left out the faulty codes",
           level="slope", rejection="local_test"),
-    _kind("uncertainty", RESIDUAL, "HUL: the residuals found in place of the threshold", "S3 III-A", MISSED,
+    _kind("uncertainty", RESIDUAL, "HUL: the residuals found in place of the threshold", "S3 III-A", NONE,
           level="uncertainty"),
-    _kind("weighted", RESIDUAL, "weighted RAIM of Walter and Enge", "S5 eq 1-4; ION GPS 1995", MISSED,
+    _kind("weighted", RESIDUAL, "weighted RAIM of Walter and Enge", "S5 eq 1-4; ION GPS 1995", ON_A_LINE,
           level="weighted"),
-    _kind("baarda", RESIDUAL, "data snooping, external reliability", "Baarda 1968; S1 3.1",
-          "external reliability: effect of the least bias found with power 1 - risk; no bound of the error",
-          level="reliability", rejection="local_test"),
+    _kind("baarda", RESIDUAL, "data snooping at every epoch, external reliability", "Baarda 1968; S1 3.1",
+          "external reliability: effect of the least bias that w-tests find with power 1 - risk; no bound of the error",
+          level="reliability", test="separation", rejection="separation"),
     _kind("road", RESIDUAL, "level fixed at the alert limit, false alarms vary", "S3 V-B1 [17]", MISSED, level="road"),
     _kind("separation", SEPARATION, "closed form, exact factors", "S1 eq 17", RISK, level="separation",
           test="separation"),
@@ -79,7 +81,7 @@ KINDS = (
     _kind("separation_fde", SEPARATION, "the same after exclusion by separations", "S2 4.1", EXCLUDING, **ROOT,
           rejection="separation"),
     _kind("araim", SEPARATION, "faults of satellites and systems, exclusion, road budget", "WG-C ARAIM ADD v3.1",
-          EXCLUDING, level="araim", test="separation", rejection="separation"),
+          ADVANCED, level="araim", test="separation", rejection="separation"),
     _kind("araim_lpv200", SEPARATION, "the same with the budgets of LPV-200", "WG-C ARAIM ADD v3.1",
           "P_HMI of LPV-200, whatever the risk, if exclusion is right",
           level="araim", test="separation", rejection="separation", araim={}, satellite_prior=1e-5),

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,12 +39,16 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class LevelWork:
-    """What a level is computed from: the solution of the codes that are left, and the risks (R,)."""
+    """What a level is computed from: the solution of the codes that are left, the risks (R,), where the test of the
+    codes has failed (E,), and the memory of a method for each epoch, each one of another vehicle; None: epochs come one
+    after another."""
 
     epochs: CodeEpochs
     fit: CodeFit
     config: FamilyMonitorConfig
     risks: Array
+    alarm: NDArray[np.bool_]
+    memory: Any = None
 
 
 @lru_cache(maxsize=4096)
@@ -194,4 +199,4 @@ LEVELS: dict[LevelKind, Callable[[LevelWork], Array]] = {
     LevelKind.RAYLEIGH: rayleigh,
     LevelKind.PARETO: pareto,
 }
-"""Levels that follow from an epoch alone; ARAIM is in :mod:`.separations`, those with memory in :mod:`.memory`."""
+"""Levels that follow from an epoch alone; ARAIM is in :mod:`.separations`, those with memory in :mod:`.monitor`."""

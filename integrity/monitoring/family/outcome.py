@@ -38,8 +38,8 @@ class MonitorVerdicts:
     hpl_m : (E, R) horizontal level, inf where none.
     vpl_m : (E, R) vertical level, inf where the kind has none.
     outcome : (E,) codes of MonitorOutcome.
-    excluded : (E, m) bool, codes that a test or a robust weight left out.
-    used : (E, m) bool, codes of the position; neither excluded nor left out by a map or by their odds.
+    excluded : (E, m) bool, codes, or carriers, that a test or a robust weight left out.
+    used : (E, m) bool, codes, or carriers, of the position; neither excluded nor left out by a map or by their odds.
     false_alarm : (E,) probability of a false alarm at this epoch by the test that was made, 0 without a test.
     """
 

@@ -26,6 +26,9 @@ __all__ = ["advanced_levels", "closed_level", "published_level", "root_axes", "r
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+ROAD_RISK = 1e-5  # of which the risks of the road are multiples
+EVERY_MODE = 1e-300  # no threshold ends the search of modes
+
 
 def separations(fit: CodeFit) -> Separation:
     """Separations of every single code on East and North, from the fit of all (``d_i = S_i r_i / R_ii``).
@@ -110,11 +113,12 @@ def advanced_levels(
     separation of any mode fails (E,).
 
     With ``config.araim`` the budgets of aviation hold whatever the risks; else each risk is that of the plane and of
-    the vertical alike, with the false alarms and priors of the monitor. The modes are those that the smallest risk
-    needs, at every risk.
+    the vertical alike, with the false alarms and priors of the monitor. The modes of a sky are the same at all risks,
+    so that a level depends on no other risk that is asked for. What cannot be monitored is spent (ADD v3.1): with one
+    system that is its own fault, so that there is no level at risks below ``constellation_prior``.
     """
-    budget = config.araim or _road_budget(config, float(risks.min()))
-    times = np.ones(risks.size) if config.araim else risks / risks.min()
+    budget = config.araim or _road_budget(config)
+    times, whole = (np.ones(risks.size), None) if config.araim else (risks / ROAD_RISK, risks)
     columns = epochs.y_m.shape[1]
     hpl, vpl = np.full((2, fit.df.size, risks.size), np.inf)
     alarm = np.zeros(fit.df.size, bool)
@@ -125,7 +129,7 @@ def advanced_levels(
             continue
         los, variance = epochs.los_enu[own][:, seen], np.square(epochs.sigma_m[own][:, seen])
         modes, y = _modes(epochs.system[seen].tobytes(), budget), epochs.y_m[own][:, seen]
-        up, plane, alarm[own] = checked_levels(los, epochs.system[seen], variance, y, budget, modes, times)
+        up, plane, alarm[own] = checked_levels(los, epochs.system[seen], variance, y, budget, modes, times, whole)
         hpl[own], vpl[own] = np.hypot(plane[..., 0], plane[..., 1]), up
     return hpl, vpl, alarm
 
@@ -141,12 +145,12 @@ def _modes(system: bytes, budget: AraimConfig) -> SortedModes:
     return SortedModes.of(found, group)
 
 
-def _road_budget(config: FamilyMonitorConfig, risk: float) -> AraimConfig:
-    """Risk of the monitor for the plane and for the vertical, and half of its false alarms each; faults of up to two
-    events are modes."""
+def _road_budget(config: FamilyMonitorConfig) -> AraimConfig:
+    """A risk of the monitor for the plane and for the vertical, and half of its false alarms each; all faults of up to
+    two events are modes."""
     half = 0.5 * config.false_alarm
     return AraimConfig(
-        vertical_risk=risk, horizontal_risk=risk, vertical_false_alarm=half, horizontal_false_alarm=half,
-        unmonitored_below=min(0.1 * risk, 0.5), satellite_prior=config.satellite_prior,
+        vertical_risk=ROAD_RISK, horizontal_risk=ROAD_RISK, vertical_false_alarm=half, horizontal_false_alarm=half,
+        unmonitored_below=EVERY_MODE, satellite_prior=config.satellite_prior,
         constellation_prior=config.constellation_prior, at_once=2,
     )  # fmt: skip

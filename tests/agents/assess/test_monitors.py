@@ -11,8 +11,10 @@ import pytest
 from city_drives import as_files, simulated
 from typer.testing import CliRunner
 
+from lanebound.agents.assess import monitor_campaign
 from lanebound.agents.assess import monitors as module
 from lanebound.agents.assess.fit_errors import FitErrorsConfig, code_errors_of, fit_errors
+from lanebound.agents.assess.monitor_campaign import CampaignConfig, alert_times
 from lanebound.agents.assess.monitored_drives import simulated_epochs
 from lanebound.agents.assess.monitors import MonitorsConfig, assess_monitors, monitor_rows
 from lanebound.agents.assess.monitors_page import write_page
@@ -20,6 +22,7 @@ from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.agents.cli import app
 from lanebound.agents.cli.kinds import resolve
 from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import FAMILY, monitor_named
@@ -58,9 +61,56 @@ def test_counts_are_those_of_the_verdicts(folder: Path, result: tuple[dict[str, 
         assert whole[name]["alarms"] == pytest.approx(v.alarm.mean())
         for r, risk in enumerate(config.risks):
             events = int((v.usable & (error > v.hpl_m[:, r])).sum())
+            shown = v.usable & np.isfinite(v.hpl_m[:, r])
             assert whole[name]["exceed"][f"{risk:g}"]["events"] == events
+            assert whole[name]["exceed"][f"{risk:g}"]["rate"] == pytest.approx(events / max(shown.sum(), 1))
+            assert whole[name]["shown"][f"{risk:g}"] == pytest.approx(shown.mean())
         available = (v.usable & (v.hpl_m[:, 1] <= 25.0)).mean()
         assert whole[name]["available"]["25"] == pytest.approx(available)
+
+
+def test_epochs_without_a_level_at_a_risk_do_not_dilute_its_exceedances(folder: Path) -> None:
+    """A prior of systems of 1e-4 leaves ARAIM a level at 1e-3 and none at 1e-5 with one system; each risk is counted as
+    if it were asked for alone."""
+    tracked = recorded_epochs(module.read_city(folder))
+    one = tracked.epochs.with_codes(used=tracked.epochs.used & (tracked.epochs.system == 0))
+    tracked = module.TrackedEpochs(one, tracked.truth_enu_m + 500.0, tracked.known)
+    unit = np.zeros(one.count, np.int64)
+    for name in ("araim", "odds"):
+        kind, both = monitor_named(name), MonitorsConfig(risks=(1e-3, 1e-5), operative=0)
+        counted = module.place_counts(both, tracked, kind, {}, unit)
+        for r, risk in enumerate(both.risks):
+            alone = module.place_counts(MonitorsConfig(risks=(risk,), operative=0), tracked, kind, {}, unit)
+            assert counted["shown"][0][r] == alone["shown"][0][0]
+            assert counted["exceed"][0][r] == alone["exceed"][0][0] == counted["shown"][0][r]  # all are 500 m off
+        if name == "araim":
+            assert counted["shown"][0][0] > 0 == counted["shown"][0][1]
+
+
+@pytest.mark.parametrize(("quiet", "faulty", "noticed"), [(2, 1, False), (1, 2, True), (0, 0, False)])
+def test_fewer_exclusions_are_no_notice(
+    quiet: int, faulty: int, noticed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    e = CodeEpochs.of(np.zeros((6, 9)), np.tile([0.0, 0.0, 1.0], (6, 9, 1)))
+    tracked = module.TrackedEpochs(e, np.zeros((6, 3)), np.ones(6, bool))
+    said = iter((quiet, faulty))
+    fine = np.ones(6, bool)
+    monkeypatch.setattr(
+        monitor_campaign, "_states", lambda *_: (np.zeros(6), fine, np.full(6, next(said)), np.zeros(6, bool))
+    )
+    config, drives = CampaignConfig(onset_s=0.0), StreetDrivesConfig(warm_up_s=0.0)
+    found = alert_times(config, drives, monitor_named("residual"), {}, (tracked, tracked), 1e-3)
+    assert (found["noticed_s"] != [None]) == noticed
+
+
+def test_changes_of_every_monitor_are_given_by_key(folder: Path) -> None:
+    tracked = recorded_epochs(module.read_city(folder))
+    unit = np.zeros(tracked.epochs.count, np.int64)
+    out = [
+        module.place_counts(MonitorsConfig.load({"changes": changes}), tracked, monitor_named("ransac"), {}, unit)
+        for changes in ({}, {"inlier_sigmas": 0.5})
+    ]
+    assert out[0]["sample_level_m"] != out[1]["sample_level_m"]
 
 
 def test_a_finished_run_is_read_and_the_page_is_one_file(result: tuple[dict[str, Any], MonitorsConfig, Path]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import gymnasium
 import numpy as np
@@ -13,12 +13,16 @@ import lanebound.envs  # noqa: F401 - registers the environments
 from lanebound.agents.cli import app
 from lanebound.integrity import Fault, FaultSchedule, Navigator, NavigatorConfig, SkyMask, SkyTrack, truth_between
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.monitoring.family.epochs import CodeEpochs
+from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.monitoring.family.outcome import MonitorVerdicts
 from lanebound.integrity.navigators.monitored_codes import MonitoredCodesConfig, MonitoredCodesNavigator
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 
 DT, SPEED = 0.1, 10.0
+REMEMBER = ("kipl", "eraim", "composite")
 
 
 def config(monitor: str = "ibpl", **more: object) -> NavigatorConfig:
@@ -36,7 +40,7 @@ def drive(navigator: Navigator, epochs: int, first: int = 0) -> list[tuple[np.nd
     return found
 
 
-@pytest.mark.parametrize("monitor", ["ibpl", "residual_fde", "separation_root", "sbas"])
+@pytest.mark.parametrize("monitor", ["ibpl", "residual_fde", "separation_root", "sbas", *REMEMBER])
 def test_a_vehicle_knows_its_position_within_its_level(monitor: str) -> None:
     navigator = Navigator.nominal(config(monitor), [1, 2, 3], duration_s=60.0)
     assert isinstance(navigator, MonitoredCodesNavigator)
@@ -108,8 +112,9 @@ def test_inconsistent_range_rates_give_no_course(rate_mps: float, monkeypatch: p
     assert (since < 2.5 * DT).all() if rate_mps == 0.0 else np.isinf(since).all()
 
 
-def test_a_snapshot_goes_on_with_the_same_bits() -> None:
-    navigator = Navigator.nominal(config(), [4, 5], duration_s=60.0)
+@pytest.mark.parametrize("monitor", ["ibpl", *REMEMBER])
+def test_a_snapshot_goes_on_with_the_same_bits(monitor: str) -> None:
+    navigator = Navigator.nominal(config(monitor), [4, 5], duration_s=60.0)
     drive(navigator, 30)
     kept = navigator.snapshot()
     first = drive(navigator, 15, 30)[-1][1]
@@ -119,11 +124,53 @@ def test_a_snapshot_goes_on_with_the_same_bits() -> None:
     np.testing.assert_array_equal(first.pl_cases_m, again.pl_cases_m)
 
 
-def test_rows_of_a_batch_are_independent() -> None:
-    both = drive(Navigator.nominal(config(), [7, 8], duration_s=60.0), 40)[-1][1]
-    alone = drive(Navigator.nominal(config(), [8], duration_s=60.0), 40)[-1][1]
+@pytest.mark.parametrize("monitor", ["ibpl", *REMEMBER])
+def test_rows_of_a_batch_are_independent(monitor: str) -> None:
+    both = drive(Navigator.nominal(config(monitor), [7, 8], duration_s=60.0), 40)[-1][1]
+    alone = drive(Navigator.nominal(config(monitor), [8], duration_s=60.0), 40)[-1][1]
     np.testing.assert_array_equal(both.position_en_m[1], alone.position_en_m[0])
     np.testing.assert_array_equal(both.pl_at_m[1], alone.pl_at_m[0])
+
+
+@pytest.mark.parametrize("monitor", REMEMBER)
+def test_the_memory_of_a_vehicle_is_that_of_its_recorded_epochs(monitor: str) -> None:
+    """Levels of a drive, epoch by epoch in a batch, are those of the epochs of each vehicle one after another; codes
+    vanish for a while."""
+    c = config(monitor)
+    jammed = FaultSchedule((Fault(kind="jamming", start_s=4.0, duration_s=3.0, magnitude_db=60.0),))
+    navigator = Navigator(c, SkyTrack.from_config(c.sky, 60.0), SkyMask.open(), [1, 2], faults=jammed)
+    assert isinstance(navigator, MonitoredCodesNavigator)
+    asked: list[tuple[CodeEpochs, MonitorVerdicts]] = []
+    given = navigator._asked
+
+    def noted(epochs: CodeEpochs, due: np.ndarray) -> MonitorVerdicts:
+        b = navigator.state.belief
+        step = np.concatenate([b.step_m, np.zeros((2, 1))], 1)
+        moved = replace(epochs, step_enu_m=step, step_sigma_m=b.step_sigma_m.copy())
+        asked.append((moved, given(epochs, due)))
+        return asked[-1][1]
+
+    navigator._asked = noted  # type: ignore[method-assign]
+    drive(navigator, 90)
+    risks = [case.integrity_risk for case in c.cases]
+    for vehicle in range(2):
+        parts = [epochs.take(slice(vehicle, vehicle + 1)) for epochs, _ in asked]
+        names = [f.name for f in fields(CodeEpochs) if f.name != "system" and getattr(parts[0], f.name) is not None]
+        joined = replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+        alone = watch(joined, navigator._monitor, risks)
+        together = np.concatenate([found.hpl_m[vehicle : vehicle + 1] for _, found in asked])
+        np.testing.assert_allclose(together, alone.hpl_m, rtol=1e-12)
+        assert np.isfinite(alone.hpl_m[:, 0]).sum() > 4
+
+
+@pytest.mark.parametrize("monitor", ["kipl", "eraim"])
+def test_a_prior_pose_begins_the_memory_anew(monitor: str) -> None:
+    navigator = Navigator.nominal(config(monitor), [1, 2], duration_s=60.0)
+    drive(navigator, 30)
+    navigator.place(np.array([[0.0, 30.0]]), np.zeros(1), sigma_m=0.5, sigma_heading_rad=0.01, rows=np.array([1]))
+    assert np.isinf(navigator.state.belief.step_sigma_m[1])
+    assert np.isfinite(navigator.state.belief.step_sigma_m[0])
+    assert all((error <= s.pl_at_m).all() for error, s in drive(navigator, 20, 30))
 
 
 def test_a_prior_pose_has_the_level_of_its_deviation() -> None:
@@ -140,8 +187,8 @@ def test_the_configuration_asks_for_what_it_needs() -> None:
     assert c.gnss.undifferenced
     assert NavigatorConfig.load(c.to_dict()) == c
     assert NavigatorConfig().replace(kind="monitored_codes").gnss.undifferenced
-    for kind in ("kipl", "composite", "rraim_range", "map_exclude"):
-        with pytest.raises(ConfigError, match="needs codes alone and has no memory"):
+    for kind in ("rraim_position", "rraim_range", "map_exclude"):
+        with pytest.raises(ConfigError, match=r"needs codes and steps alone, got .* which needs codes and"):
             config(kind)
     with pytest.raises(ConfigError, match="antenna_right_m must be 0"):
         config(positioning={"antenna_forward_m": 1.0})

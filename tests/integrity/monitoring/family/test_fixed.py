@@ -57,6 +57,10 @@ def test_a_wrong_integer_is_excluded_and_noise_stays_within_the_level() -> None:
     assert found.usable.mean() > 0.9
     assert (error[found.usable] > found.hpl_m[found.usable, 0]).sum() <= binom.ppf(0.999, 3000, 1e-2)
     assert np.median(error[found.usable]) < 0.02
+    out = found.excluded & found.usable[:, None]
+    assert (out.sum(-1)[found.usable] >= 1).mean() > 0.99  # carriers, though all codes are right
+    assert not (found.used & found.excluded).any()
+    assert (found.outcome[out.any(-1)] == MonitorOutcome.EXCLUDED.code).all()
 
 
 def test_without_a_fix_there_is_no_level_and_without_the_fields_an_error() -> None:

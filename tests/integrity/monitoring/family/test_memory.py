@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from code_geometry import quiet, sky, with_everything
+from code_geometry import directions, quiet, sky, with_everything
+from scipy.stats import binom
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.monitoring.family.budget import CodeBudget
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.monitoring.family.outcome import MonitorOutcome
 
 
 def at_rest(y: np.ndarray, los: np.ndarray, used: np.ndarray | bool = True, sigma_m: float = 2.0) -> CodeEpochs:
@@ -105,6 +108,109 @@ def test_methods_with_memory_do_not_look_ahead_or_into_other_drives() -> None:
         both, first, second = (watch(part, config, 1e-3) for part in (e, e.take(slice(0, 13)), e.take(slice(20, 40))))
         np.testing.assert_array_equal(both.hpl_m[:13], first.hpl_m, name)
         np.testing.assert_array_equal(both.hpl_m[20:], second.hpl_m, name)
+
+
+FIVE = directions([0, 70, 150, 220, 300], [20, 50, 30, 60, 75])
+NINE = directions(np.linspace(0, 330, 9), [20, 70, 35, 15, 50, 65, 25, 40, 30])
+
+
+@pytest.mark.parametrize("codes", [5, 9])
+def test_eraim_keeps_its_alarm_and_its_level_when_codes_vanish(codes: int) -> None:
+    """A fault at epoch 6, no codes from epoch 9 on: the error is in the filter, and so is the alarm. Without a fault
+    the level never shrinks for want of codes."""
+    los = FIVE if codes == 5 else NINE
+    y, used = np.zeros((12, codes)), np.ones((12, codes), bool)
+    used[9:] = False
+    config = monitor_named("eraim").config({"rejection": "none" if codes == 9 else "separation"})
+    sights = np.broadcast_to(los, (12, codes, 3))
+    level = watch(at_rest(y, sights, used), config, 1e-5).hpl_m[:, 0]
+    assert np.isfinite(level).all()
+    assert (np.diff(level) >= -1e-9).all()
+    y[6:, 1] = 80.0
+    found = watch(at_rest(y, sights, used), config, 1e-3)
+    assert np.hypot(*found.position_enu_m[9:, :2].T).min() > 5.0
+    assert not found.alarm[:6].any()
+    assert found.alarm[6:].all()
+
+
+def test_eraim_counts_a_code_that_left_as_a_mode_until_the_next_drive() -> None:
+    """A code leaves after epoch 4; the next drive never had it."""
+    y, used = np.zeros((12, 9)), np.ones((12, 9), bool)
+    used[4:, 3] = False
+    e = at_rest(y, np.broadcast_to(NINE, (12, 9, 3)), used)
+    e = CodeEpochs(**{**vars(e), "drive": np.repeat([0, 1], 6)})
+    level = watch(e, monitor_named("eraim").config(), 1e-5).hpl_m[:, 0]
+    without = watch(e.take(slice(6, 12)), monitor_named("eraim").config(), 1e-5).hpl_m[:, 0]
+    np.testing.assert_array_equal(level[6:], without)
+    assert level[5] >= level[0] - 1e-6
+
+
+def test_false_alarms_of_eraim_are_within_their_allocation() -> None:
+    """200 drives of 10 epochs, each code there in 70 %: drives with an alarm, at 1e-2 an epoch, by chance above the
+    bound once in 1,000 runs."""
+    rng, drives, length = np.random.default_rng(12), 200, 10
+    y, used = 2.0 * rng.normal(size=(drives * length, 9)), rng.random((drives * length, 9)) < 0.7
+    e = at_rest(y, np.broadcast_to(NINE, (*y.shape, 3)), used)
+    e = CodeEpochs(**{**vars(e), "drive": np.repeat(np.arange(drives), length)})
+    found = watch(e, monitor_named("eraim").config({"rejection": "none", "false_alarm": 1e-2}), 1e-3)
+    assert found.alarm.reshape(drives, length).any(-1).sum() <= binom.ppf(0.999, drives, 1e-2 * length)
+
+
+@pytest.mark.parametrize("name", ["rraim_position", "rraim_range"])
+def test_rraim_has_no_anchor_where_codes_fail_their_test(name: str) -> None:
+    """Five codes, one off by 200 m at the first epoch, which five cannot exclude; later codes are worse but right."""
+    y, sigma = np.zeros((6, 5)), np.full((6, 5), 4.0)
+    y[0, 1], sigma[0] = 200.0, 2.0
+    e = at_rest(y, np.broadcast_to(FIVE, (6, 5, 3)))
+    e = CodeEpochs(**{**vars(e), "sigma_m": sigma})
+    found = watch(e, monitor_named(name).config(), 1e-3)
+    assert found.alarm.tolist() == [True] + [False] * 5
+    assert found.usable[1:].all()
+    assert np.hypot(*found.position_enu_m[1:, :2].T).max() < 1.0
+
+
+@pytest.mark.parametrize("name", ["rraim_position", "rraim_range"])
+@pytest.mark.parametrize("spacing_s", [1.0, 0.1])
+def test_rraim_bounds_carriers_that_drift(name: str, spacing_s: float) -> None:
+    """Ramps of 0.05 to four deviations of a step in each satellite, over a coast of 29 s."""
+    step = CodeBudget().carrier_step(np.arcsin(NINE[:, 2]), spacing_s)
+    n = int(29.0 / spacing_s) + 1
+    sigma = np.full((n, 9), 9.0)
+    sigma[0] = 1.0
+    coasted, kind = 0, monitor_named(name).config()
+    for satellite in range(0, 9, 1 if spacing_s == 1.0 else 4):
+        for times in (0.05, 0.2, 1.0, 4.0):
+            change = np.zeros((n, 9))
+            change[1:, satellite] = times * step[satellite]
+            e = at_rest(np.zeros((n, 9)), np.broadcast_to(NINE, (n, 9, 3)))
+            found = watch(CodeEpochs(**{
+                **vars(e), "time_s": spacing_s * np.arange(n), "sigma_m": sigma, "carrier_step_m": change,
+                "carrier_sigma_m": np.broadcast_to(step, (n, 9)),
+            }), kind, 1e-3)  # fmt: skip
+            error = np.hypot(*found.position_enu_m[:, :2].T)
+            assert (error <= found.hpl_m[:, 0])[found.usable].all()
+            coasted += int((found.hpl_m[-1, 0] < 20.0) & (error[-1] > 0.0))
+    assert coasted > 0
+
+
+@pytest.mark.parametrize("name", ["rraim_position", "rraim_range", "eraim", "kipl", "araim", "separation_root"])
+def test_a_level_is_that_of_its_own_risk(name: str) -> None:
+    e = with_everything(quiet(30, 12, 2, 14))
+    config = monitor_named(name).config()
+    alone, among = watch(e, config, 1e-3).hpl_m[:, 0], watch(e, config, [1e-2, 1e-3, 1e-7]).hpl_m[:, 1]
+    np.testing.assert_allclose(among, alone, rtol=1e-12)
+
+
+def test_before_their_first_epoch_methods_say_so() -> None:
+    e = quiet(6, 9, 1, 15)
+    used = np.ones((6, 9), bool)
+    used[:2], used[4] = False, False
+    for name in ("kipl", "eraim", "rraim_position", "rraim_range"):
+        found = watch(at_rest(e.y_m, e.los_enu, used), monitor_named(name).config(), 1e-3)
+        assert found.outcome[:2].tolist() == [MonitorOutcome.NOT_BEGUN.code] * 2, name
+        assert found.usable[[2, 3, 5]].all(), name
+        if name in ("kipl", "eraim"):
+            assert found.usable[4], name  # it coasts
 
 
 def test_what_is_missing_is_named() -> None:

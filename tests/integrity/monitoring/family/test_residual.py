@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from code_geometry import quiet, ring, sky
+from code_geometry import directions, quiet, ring, sky
 from residual_forms import parity_statistic, range_comparison_statistic, residual_statistic
 from scipy.stats import binom, ncx2
+from worst_bias import SIGMA_M, SKIES, beyond, worst_code, worst_rate
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
@@ -15,9 +16,11 @@ from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.levels import fixed_level_false_alarm, noncentralities, predicted_level
 from lanebound.integrity.monitoring.family.monitor import watch
 from lanebound.integrity.monitoring.family.rejection import global_threshold
+from lanebound.integrity.monitoring.significance import noncentrality
 from lanebound.integrity.positioning.least_squares import design_matrix
 
 RISK = np.array([1e-3])
+AFTER_GLOBAL = {"rejection": "local_test", "test": "global"}
 
 
 def test_residuals_parity_and_range_comparison_are_one_statistic() -> None:
@@ -58,6 +61,49 @@ def test_power_at_the_minimum_detectable_bias_is_as_theory_says() -> None:
     found = watch(CodeEpochs.of(y, e.los_enu, 2.0), monitor_named("residual").config(), risk)
     low, high = binom.ppf([5e-4, 1 - 5e-4], trials, 1.0 - risk[0])
     assert low <= found.alarm.sum() <= high
+
+
+@pytest.mark.parametrize("codes", [5, 7, 9])
+def test_what_residual_levels_promise_and_what_they_do_not(codes: int) -> None:
+    """The docs have the table. A bias whose mean effect is the slope level is missed with P_MD: 20,000 trials, outside
+    by chance once in 1,000. With noise on top of the bias the error goes beyond that level more often; with five codes
+    it goes beyond those of Walter and Enge and of HUL hundreds of times as often as the risk. Levels by separation
+    bound both, times the prior of the fault."""
+    risk, trials = 1e-3, 20_000
+    _, worst, _ = worst_code(codes)
+    fit = solve_codes(CodeEpochs.of(np.zeros((1, codes)), SKIES[codes], SIGMA_M))
+    level = predicted_level(fit, 1e-3, np.array([risk]))[0, 0]
+    size = level / fit.slopes()[0, worst]  # the mean effect of this bias is the level
+    low, high = binom.ppf([5e-4, 1 - 5e-4], trials, risk) / trials
+    assert low <= beyond("residual", codes, risk, size, trials)[1] <= high
+    if codes == 9:
+        assert worst_rate("residual", codes) > 2 * risk
+    if codes == 5:
+        assert worst_rate("weighted", codes, trials=2000) > 100 * risk
+        assert worst_rate("uncertainty", codes, trials=2000) > 100 * risk
+    for kind in ("separation", "separation_root"):  # the level counts the prior 1e-3 of the fault
+        assert 1e-3 * worst_rate(kind, codes, trials=2000) <= risk
+
+
+@pytest.mark.parametrize(("codes", "seed"), [(9, 1), (15, 2), (30, 3)])
+def test_data_snooping_finds_the_minimum_detectable_bias(codes: int, seed: int) -> None:
+    """w-tests that always run miss the MDB at most with the risk: 20,000 trials at 1e-2, above by chance once in 1,000;
+    a local test after the global one misses it more often the more codes there are."""
+    risk, trials = 1e-2, 20_000
+    rng = np.random.default_rng(seed)
+    los = directions(rng.uniform(0, 360, codes), rng.uniform(10, 80, codes))
+    fit = solve_codes(CodeEpochs.of(np.zeros((1, codes)), los, 2.0))
+    worst = int(fit.slopes()[0].argmax())
+    bias = 2.0 * np.sqrt(noncentrality(1e-3 / codes, 1.0 - risk, 1) / fit.redundancy[0, worst])
+    y = 2.0 * rng.normal(size=(trials, codes))
+    y[:, worst] += bias
+    e = CodeEpochs.of(y, np.broadcast_to(los, (trials, codes, 3)), 2.0)
+    found, after = (watch(e, monitor_named("baarda").config(changes), risk) for changes in ({}, AFTER_GLOBAL))
+    missed, late = ((~v.alarm & ~v.excluded.any(-1)).sum() for v in (found, after))
+    assert missed <= binom.ppf(0.999, trials, risk)
+    assert late > 2 * binom.ppf(0.999, trials, risk) or codes == 9
+    level = watch(e.take([0]), monitor_named("baarda").config(), risk).hpl_m[0, 0]
+    assert level == pytest.approx(bias * np.hypot(*fit.gain[0, worst, :2]), rel=1e-9) or found.excluded[0].any()
 
 
 @pytest.mark.parametrize("name", ["residual", "separation_root", "ibpl"])
