@@ -272,8 +272,8 @@ def _print_rtk_notes(found: dict[str, Any]) -> None:
 
     place = ",".join(f"{value:.3f}" for value in found["base_antenna_ecef_m"])
     typer.echo(
-        f"Positions and levels are relative to the base at {place}, from {found['base_antenna_from']}: an error of it is "
-        "an error of every position, and in no level"
+        f"Positions and levels are relative to the base at {place}, from {found['base_antenna_from']}: an error of it "
+        "is an error of every position, and in no level"
     )
     for name, count in found["status"].items():
         if count and name == "not_converged":

@@ -104,7 +104,7 @@ class FilterRow(NamedTuple):
 
 class _Rows(NamedTuple):
     """Measurements of an epoch, (R,): row of the memory, slot, state of the ambiguity (-1 for codes) and its factor,
-    factors of ionosphere and zenith delay, line of sight (R, 3), weight, value [m], group of its clock; ``slot`` is that
+    factors of ionosphere and zenith delay, line of sight (R, 3), weight, value [m], group of its clock. The slot is that
     of its ionosphere."""
 
     row: Ints
@@ -219,7 +219,7 @@ def drop_slot(own: FilterRow, k: int, rules: Any) -> None:
 def assign_slots(
     own: FilterRow, carriers: Carriers, code: Array, order: Ints, count: int, ambiguities: Records, rules: Any
 ) -> None:
-    """Begin to follow the satellites of ``order`` (count,), held ones first, further signals last, where a slot is free.
+    """Begin to follow satellites of ``order`` (count,), held ones first, further signals last, where a slot is free.
 
     A satellite gets the slot that it had before, if that is free: errors of its measurements may last.
     """

@@ -276,9 +276,7 @@ class _Parser:
         week, tow = np.array(self.week[:n], dtype=np.int64), np.array(self.tow[:n])
         power = np.array(self.power[:n], dtype=np.bool_)
         rows = {system: r.finished(n) for system, r in self.rows.items()}
-        return Observations(
-            self.header, week, tow, power, rows, stopped, self.left_out, self.undeclared, self.garbled
-        )
+        return Observations(self.header, week, tow, power, rows, stopped, self.left_out, self.undeclared, self.garbled)
 
 
 def _gps_time(text: str, ahead_s: float) -> tuple[int, float]:
@@ -306,7 +304,7 @@ def _gps_time(text: str, ahead_s: float) -> tuple[int, float]:
 
 
 def _fields(text: str, codes: tuple[str, ...]) -> tuple[list[float], list[int], str]:
-    """Values and loss-of-lock bits of one satellite line, and the last value that is no number; blank and such are 0."""
+    """Values and loss-of-lock bits of one satellite line, 0 for blanks; the last value that is no number, 0 too."""
     if text[3 + FIELD * len(codes) :].strip():
         raise ValueError(f"satellite {text[:3]} must have at most {len(codes)} observations, the line is longer")
     values, lost, garbled = [], [], ""

@@ -91,8 +91,8 @@ class Baseline:
     the base in E, N, U (T, 3) and in ECEF [m], heading [rad], levels and sigmas (T, 2) on AT, CT [m], numbers of
     satellites and of excluded ones, risk of wrong integers, age of the base epoch [s], inf without one, number of
     signals whose integers were sought and the failure rate of their integers, whose limit is ``failure_limit``;
-    ``choice`` of signals; ``base_ecef_m`` (3,), origin of E, N, U; the configuration ``rtk``. Levels are relative to the
-    base.
+    ``choice`` of signals; ``base_ecef_m`` (3,), origin of E, N, U; the configuration ``rtk``. Levels are relative to
+    the base.
 
     Positions are those of the antenna reference points of rover and base. The offset to the marker is ANTENNA: DELTA
     H/E/N of the header. Phase centres are assumed at the reference points (no calibrations).
@@ -152,7 +152,8 @@ def solve_baseline(
         )
     if not len(table):
         raise InputError(
-            "the navigation files must hold messages of GPS, Galileo, BeiDou or QZSS, have none: pass the day's navigation"
+            "the navigation files must hold messages of GPS, Galileo, BeiDou or QZSS, have none: pass the day's "
+            "navigation"
         )
     arcs = [arc_of(data, codes, choice, table) for data, codes in ((rover, choice.rover), (base, choice.base))]
     _require_messages(rover, arcs, table)
@@ -176,8 +177,8 @@ def base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
     place = base.header.antenna_ecef_m if given_ecef_m is None else given_ecef_m
     if place is None:
         raise InputError(
-            "the position of the base must be known, its header has no APPROX POSITION XYZ: pass it with --base-position "
-            "(base_ecef_m)"
+            "the position of the base must be known, its header has no APPROX POSITION XYZ: pass it with "
+            "--base-position (base_ecef_m)"
         )
     place = require_finite("base_ecef_m", place)
     require_shape("base_ecef_m", place, (3,))

@@ -75,7 +75,8 @@ def run_baseline(
     summary = {
         "stopped": {name: note for name, note in notes.items() if note},
         "signals": {"rover": solved.choice.rover, "base": solved.choice.base},
-        "base_antenna_ecef_m": solved.base_ecef_m.tolist(), "base_antenna_from": source,
+        "base_antenna_ecef_m": solved.base_ecef_m.tolist(),
+        "base_antenna_from": source,
         "base_from_codes_m": away,
         "base_from_header_m": _distance_to_header(solved.base_ecef_m, base_data.header.antenna_ecef_m),
         "half_cycle_share": {"rover": rover_data.half_cycle_share, "base": base_data.half_cycle_share},
@@ -164,8 +165,9 @@ def _lacking(solved: Baseline, waiting: NDArray[np.bool_]) -> dict[str, Any]:
     if rate is None:
         used = "; ".join(f"{letter} {' '.join(codes)}" for letter, codes in solved.choice.rover.items())
         what = (
-            f"no position from the codes passed its test: it needs more satellites above {solved.rtk.elevation_mask_deg:g}"
-            f" deg with {solved.rtk.cn0_min_dbhz:g} dB-Hz and more at both receivers on the bands in use (rover: {used})"
+            f"no position from the codes passed its test: it needs more satellites above "
+            f"{solved.rtk.elevation_mask_deg:g} deg with {solved.rtk.cn0_min_dbhz:g} dB-Hz and more at both receivers "
+            f"on the bands in use (rover: {used})"
         )
     else:
         bands = "" if solved.choice.bands >= 2 else ", a second band"

@@ -49,7 +49,7 @@ class Arc:
 
 @dataclass(frozen=True)
 class Reduced:
-    """One epoch of S satellites and C signals: unit vectors (S, 3) from the rover in E, N, U of the base; code and phase
+    """One epoch of S satellites, C signals: unit vectors (S, 3) from the rover in E, N, U of the base; code and phase
     (S, C) [m], ``-e.x + clock`` with x relative to the base; C/N0, tracked, and lock lost (S, C).
 
     The C/N0 is that of a signal whose variance is the mean over receivers: ``-10 lg mean 10^(-C/N0 / 10)``.

@@ -107,6 +107,5 @@ def _moving(files: list[Path], navigation: list[Path]) -> list[bool]:
     first, second = (read_observations(path) for path in files)
     choice = choose_signals(first, second, 1)
     return [
-        CodePlaces(data, codes, choice, table).moves
-        for data, codes in ((first, choice.rover), (second, choice.base))
+        CodePlaces(data, codes, choice, table).moves for data, codes in ((first, choice.rover), (second, choice.base))
     ]

@@ -34,8 +34,8 @@ ENOUGH = 0.5  # share of the epochs of a second code of a band in which the firs
 def entries_of(choice: Choice, rover: Arc, base: Arc, satellites: Ints, cn0_min_dbhz: float) -> Entries:
     """The signals that both receivers have tracked; ``satellites`` (S, 2) are system and PRN.
 
-    Every satellite with a further signal has an entry of its first one, too, which may be without measurements. A second
-    code of a band is an entry of the satellites that lack the first one.
+    Every satellite with a further signal has an entry of its first one, too, which may be without measurements. A
+    second code of a band is an entry of the satellites that lack the first one.
     """
     tracked = [
         ((arc.code_m != 0.0) & (arc.phase_m != 0.0) & (arc.cn0_dbhz >= cn0_min_dbhz) & arc.known[..., None]).sum(0)
@@ -125,7 +125,5 @@ class SlipComparison:
 
 def _pairs_of(entries: Entries) -> Ints:
     """Pairs of entries (P, 2) of the same satellite."""
-    found = [
-        pair for host in np.unique(entries.host) for pair in combinations(np.flatnonzero(entries.host == host), 2)
-    ]
+    found = [pair for host in np.unique(entries.host) for pair in combinations(np.flatnonzero(entries.host == host), 2)]
     return np.array(found, dtype=np.int64).reshape(-1, 2)

@@ -46,7 +46,8 @@ COLUMNS = 4  # signals of a system at most
 FEWEST = 2  # satellites with a further signal: one alone differs from no other
 LITTLE = 0.1  # strength of a satellite below which it lacks a signal
 SEMI_CODELESS_DB = 10.0
-"""By how much the C/N0 of L2W may be lower with the same noise, because L1 guides its loop, which may be narrower. On both recorded pairs its double differences at 28 to 36 dB-Hz are as precise as those of L1 at 41 to 46 dB-Hz."""
+"""By how much the C/N0 of L2W may be lower with the same noise, because L1 guides its loop, which may be narrower. On
+the static pair double differences of its phases at 27 to 36 dB-Hz are as precise as those of L1 at 41 to 46 dB-Hz."""
 B1C_SINCE = 3.04  # version of the first table with B1C; the reader has moved B1I to band 2
 
 
@@ -82,7 +83,9 @@ def choose_signals(
     limits, within = (cn0_min_dbhz, cn0_knee_dbhz), _overlap(rover, base)
     chosen = {}
     for letter in LETTERS:
-        ours, theirs = (_strengths(letter, of, there, limits, False) for of, there in zip((rover, base), within, strict=True))
+        ours, theirs = (
+            _strengths(letter, of, there, limits, False) for of, there in zip((rover, base), within, strict=True)
+        )
         found = _best(letter, ours, theirs, 2) if bands != 1 else None
         found = found or _best(letter, ours, theirs, 1)
         if found:
@@ -94,14 +97,19 @@ def choose_signals(
         )
     if bands != 1:
         sides = {
-            letter: (_strengths(letter, rover, within[0], limits, True), _strengths(letter, base, within[1], limits, True))
+            letter: (
+                _strengths(letter, rover, within[0], limits, True),
+                _strengths(letter, base, within[1], limits, True),
+            )
             for letter in chosen
         }
         _add_further(chosen, sides, bands)
     return _choice(chosen)
 
 
-def _add_further(chosen: dict[str, list[Pair]], sides: dict[str, tuple[Strengths, Strengths]], bands: int | None) -> None:
+def _add_further(
+    chosen: dict[str, list[Pair]], sides: dict[str, tuple[Strengths, Strengths]], bands: int | None
+) -> None:
     """Append further signals to those ``chosen``, the strongest first, while clocks are left."""
     found = []
     for letter, pairs in chosen.items():
@@ -114,9 +122,7 @@ def _add_further(chosen: dict[str, list[Pair]], sides: dict[str, tuple[Strengths
             lacking = np.ones(PRNS) if before is None else _shared(ours, theirs, before) < LITTLE
             gains = {pair: _shared(ours, theirs, pair) * lacking for pair in product(ours, theirs) if pair != before}
             others = [
-                (float(gain.sum()), pair)
-                for pair, gain in gains.items()
-                if np.count_nonzero(gain >= LITTLE) >= FEWEST
+                (float(gain.sum()), pair) for pair, gain in gains.items() if np.count_nonzero(gain >= LITTLE) >= FEWEST
             ]
             if others:
                 strength, best = max(others)

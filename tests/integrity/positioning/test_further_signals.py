@@ -133,15 +133,13 @@ def test_a_satellite_under_suspicion_is_left_out_with_all_its_signals() -> None:
         rules, ambiguities = single.rules, np.zeros(2 * N, AMBIGUITY)
         rules["attempts"], rules["max_candidates"], rules["fix_limit"] = attempts, 2 * N, 1e-4
         candidate = np.ones(2 * N, np.bool_)
-        status, _ = resolve(
-            carriers, candidate, ambiguities, rules, place.copy(), q.copy(), single.own, False, 1
-        )
+        status, _ = resolve(carriers, candidate, ambiguities, rules, place.copy(), q.copy(), single.own, False, 1)
         assert status == wanted
         assert candidate.all()
     assert np.flatnonzero(~ambiguities["held"]).tolist() == [2, N + 2]
     off = ambiguities["integers"][:, 0].reshape(2, N) - true.T
     for system in (0, 1):
-        mine = (SYSTEM == system) & (np.arange(N) != 2)
+        mine = (system == SYSTEM) & (np.arange(N) != 2)
         assert (np.ptp(off[:, mine], axis=1) == 0.0).all()
     member = np.empty(2 * N, np.bool_)
     count, positioned = find_members(ambiguities, np.ones(2 * N, np.bool_), single.satellites, rules, member)

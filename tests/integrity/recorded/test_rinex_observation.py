@@ -167,7 +167,9 @@ def test_a_value_that_is_no_number_is_missing_and_many_are_damage(tmp_path: Path
     value = whole.value.copy()
     value[0, 0] = 0.0
     np.testing.assert_array_equal(found.rows["G"].value, value)
-    bad = "".join(rinex_epoch(2.0 + k, rinex_satellite("G05", 2e7)).replace("20000000.000", "2000000x.000") for k in range(25))
+    bad = "".join(
+        rinex_epoch(2.0 + k, rinex_satellite("G05", 2e7)).replace("20000000.000", "2000000x.000") for k in range(25)
+    )
     with pytest.raises(InputError, match=r"C1C of G05 must be a number.*after 20 other values"):
         read_observations(written(tmp_path, RINEX + bad))
 
@@ -175,7 +177,9 @@ def test_a_value_that_is_no_number_is_missing_and_many_are_damage(tmp_path: Path
 def test_an_epoch_with_fewer_records_than_its_head_counts_is_named(tmp_path: Path) -> None:
     short = rinex_epoch(2.0, rinex_satellite("G05", 2e7), rinex_satellite("G07", 2e7)).splitlines(keepends=True)
     with pytest.raises(InputError, match="as many records as its head counts, 1 are missing"):
-        read_observations(written(tmp_path, RINEX + "".join(short[:-1]) + rinex_epoch(3.0, rinex_satellite("G05", 2e7))))
+        read_observations(
+            written(tmp_path, RINEX + "".join(short[:-1]) + rinex_epoch(3.0, rinex_satellite("G05", 2e7)))
+        )
 
 
 def test_epochs_that_are_not_later_are_left_out_and_counted(tmp_path: Path) -> None:

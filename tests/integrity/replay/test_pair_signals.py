@@ -28,10 +28,15 @@ def signals(phase: np.ndarray) -> Signals:
 
 def test_a_jump_of_one_signal_marks_it_and_those_it_is_compared_with() -> None:
     """Motion of metres and clocks of each signal do not count; a slip of one cycle of satellite 2 does."""
-    rng, compare = np.random.default_rng(1), SlipComparison(entries(), RtkConfig(sigma_phase_m=0.004), CycleSlipConfig())
+    rng, compare = (
+        np.random.default_rng(1),
+        SlipComparison(entries(), RtkConfig(sigma_phase_m=0.004), CycleSlipConfig()),
+    )
     e, start = entries(), 100.0 * rng.standard_normal(N)
     for k in range(6):
-        moved = np.repeat(5.0 * rng.standard_normal(SATELLITES), COLUMNS) + (30.0 * rng.standard_normal(COLUMNS))[e.column]
+        moved = (
+            np.repeat(5.0 * rng.standard_normal(SATELLITES), COLUMNS) + (30.0 * rng.standard_normal(COLUMNS))[e.column]
+        )
         slip = e.wavelength_m * ((k >= 3) & (e.satellite == 2) & (e.column == 1))
         lost = compare.lost(signals(start + moved + slip + rng.normal(0.0, 0.002, N)), 1.0)
         if k == 3:

@@ -51,7 +51,9 @@ def solved(letter: str, rover: tuple[str, ...] = (), base: tuple[str, ...] = ())
         ("C", (), 0, ("2I", "6I", "7I")),
     ],
 )
-def test_one_system_is_fixed_and_right(letter: str, without: tuple[str, ...], first: int, signals: tuple[str, ...]) -> None:
+def test_one_system_is_fixed_and_right(
+    letter: str, without: tuple[str, ...], first: int, signals: tuple[str, ...]
+) -> None:
     found, error = solved(letter, without, without)
     assert found.choice.rover == {letter: signals}
     assert found.fixed[first:].all()

@@ -152,5 +152,9 @@ def test_no_more_clocks_are_used_than_there_are(one: Observations) -> None:
     }
     choice = choose_signals(replace(one, rows=full), replace(one, rows=full))
     assert sum(len(codes) for codes in choice.rover.values()) == MAX_GROUPS
-    used = [choice.clock[System(s), c] for s, n in ((0, "G"), (1, "E"), (3, "C"), (4, "J")) for c in range(len(choice.rover[n]))]
+    used = [
+        choice.clock[System(s), c]
+        for s, n in ((0, "G"), (1, "E"), (3, "C"), (4, "J"))
+        for c in range(len(choice.rover[n]))
+    ]
     assert len(set(used)) == len(used)
