@@ -104,8 +104,8 @@ class FilterRow(NamedTuple):
 
 class _Rows(NamedTuple):
     """Measurements of an epoch, (R,): row of the memory, slot, state of the ambiguity (-1 for codes) and its factor,
-    factors of ionosphere and zenith delay, line of sight (R, 3), weight, value [m], group of its clock. The slot is that
-    of its ionosphere."""
+    factors of ionosphere and zenith delay, line of sight (R, 3), weight, value [m], group of its clock. The slot is
+    that of its ionosphere."""
 
     row: Ints
     slot: Ints

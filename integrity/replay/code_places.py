@@ -72,7 +72,9 @@ class CodePlaces:
             rows, delay = rows[~low], delay[~low]
         return place
 
-    def _delays(self, arc: Arc, k: int, rows: NDArray[np.int64], place: Array, tow_s: float) -> tuple[Array, Array]:
+    def _delays(
+        self, arc: Arc, k: int, rows: NDArray[np.int64], place: Array, tow_s: float
+    ) -> tuple[NDArray[np.bool_], Array]:
         """Which satellites are too low, and the delays (n,) in the air at a place [m]."""
         latitude, longitude, _ = geodetic_from_ecef(place)
         _, sight = ranges_and_sights(arc.satellite_ecef_m[k, rows], place)

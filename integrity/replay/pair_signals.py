@@ -45,11 +45,11 @@ def entries_of(choice: Choice, rover: Arc, base: Arc, satellites: Ints, cn0_min_
     wanted = np.zeros(epochs.shape, np.bool_)
     for letter, names in choice.rover.items():
         own = satellites[:, 0] == LETTERS[letter]
-        for column, name in enumerate(names):
-            wanted[own, column] = epochs[own, column] > 0.0
-            for earlier in range(column):
+        for k, name in enumerate(names):
+            wanted[own, k] = epochs[own, k] > 0.0
+            for earlier in range(k):
                 if names[earlier][0] == name[0]:
-                    wanted[own, column] &= epochs[own, earlier] < ENOUGH * epochs[own, column]
+                    wanted[own, k] &= epochs[own, earlier] < ENOUGH * epochs[own, k]
     wanted[:, 0] |= wanted.any(-1)
     satellite, column = np.nonzero(wanted)
     system = satellites[satellite, 0]

@@ -60,7 +60,8 @@ class Signals(NamedTuple):
 
 class Entries(NamedTuple):
     """Signals (N,) of satellites: index of the satellite in the table, column of the signal in the choice, number of
-    its clock (below MAX_GROUPS), entry of the first signal of that satellite, wavelength [m], whether it may be fixed."""
+    its clock (below MAX_GROUPS), entry of the first signal of that satellite, wavelength [m], whether it may be fixed.
+    """
 
     satellite: NDArray[np.int64]
     column: NDArray[np.int64]
