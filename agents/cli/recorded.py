@@ -26,7 +26,6 @@ CITY_WORDS = (
 )
 RESULTS = (".json", ".csv", ".png")
 MANIFEST = ("run.json",)
-FAR_M = 200.0  # between the position of a base and that by its codes, without models of the air
 MOST_HALVES = 0.2  # share of phases that may be off by half a cycle
 
 
@@ -252,7 +251,10 @@ def _print_files(stopped: Any, written: list[Path]) -> None:
 def _print_rtk(found: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
 
-    keys = ("epochs", "fixed", "satellites_median", "excluded", "wrong_fix_risk_max", "base_from_header_m")
+    keys = (
+        "epochs", "fixed", "fixed_share", "first_fix_s", "satellites_median", "excluded", "wrong_fix_risk_max",
+        "base_from_header_m", "base_from_codes_m",
+    )  # fmt: skip
     rows = [(key, found[key]) for key in keys] + [(f"epochs {name}", n) for name, n in found["status"].items() if n]
     print_table("RTK", ("", "value"), rows)
     _print_rtk_notes(found)
@@ -266,17 +268,22 @@ def _print_rtk(found: dict[str, Any]) -> None:
 def _print_rtk_notes(found: dict[str, Any]) -> None:
     """Print why epochs are not fixed, and what seems wrong with the inputs."""
     from lanebound.integrity.positioning.rtk_status import RtkStatus
+    from lanebound.integrity.replay.code_places import NEAR_M
 
+    place = ",".join(f"{value:.3f}" for value in found["base_antenna_ecef_m"])
+    typer.echo(
+        f"Positions and levels are relative to the base at {place}, from {found['base_antenna_from']}: an error of it "
+        "is an error of every position, and in no level"
+    )
     for name, count in found["status"].items():
         if count and name == "not_converged":
             typer.echo(f"not_converged: {found['not_converged']['what']}")
         elif count and name != "fixed":
             typer.echo(f"{name}: {RtkStatus[name.upper()].value}")
-    if (found["base_from_codes_m"] or 0.0) > FAR_M:
-        away = f"{found['base_from_codes_m'] / 1000.0:.1f} km"
+    if (found["base_from_codes_m"] or 0.0) > NEAR_M:
         typer.echo(
-            f"note: the base is {away} from where its own codes put it: give --base-position of this base, and check "
-            "that rover and base are not swapped",
+            f"note: the base is {found['base_from_codes_m']:.0f} m from where its own codes put it, which are good to "
+            "about 10 m: positions may be wrong by as much, give --base-position of its antenna",
             err=True,
         )
     for name, share in found["half_cycle_share"].items():

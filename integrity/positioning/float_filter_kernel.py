@@ -7,6 +7,9 @@ satellite and band b, with clocks for each system, band and observable, and a po
 ``code = -e.x + clock + mu_b m_I I + m_Z Z``, ``phase = -e.x + clock - mu_b m_I I + m_Z Z + lambda_b N_b``,
 ``mu_b = (lambda_b / lambda_1)^2``.
 
+A further signal of a satellite has a slot of its own with one ambiguity, and the ionosphere of the slot of its host. It
+is followed only while its host is.
+
 With P the weight matrix of an epoch after elimination of clocks and position, H the design of the lasting states and
 R the variances, ``B = H'P``, normal matrix and right-hand side grow by ``BH`` and ``By`` and fade by
 ``gamma = exp(-gap / memory)``. The weights are those of white errors, but the covariance is that under first-order
@@ -35,7 +38,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3
-from lanebound.integrity.positioning.rtk_kernel import Carriers, obliquity
+from lanebound.integrity.positioning.rtk_kernel import Carriers, first_wavelength, obliquity, owner_of
 
 __all__ = [
     "FILTER_ROW", "MEASURED", "SLOT", "STATES", "FilterRow", "Filtered", "add_epoch", "assign_slots", "drop_slot",
@@ -101,7 +104,8 @@ class FilterRow(NamedTuple):
 
 class _Rows(NamedTuple):
     """Measurements of an epoch, (R,): row of the memory, slot, state of the ambiguity (-1 for codes) and its factor,
-    factors of ionosphere and zenith delay, line of sight (R, 3), weight, value [m], group of its clock."""
+    factors of ionosphere and zenith delay, line of sight (R, 3), weight, value [m], group of its clock. The slot is
+    that of its ionosphere."""
 
     row: Ints
     slot: Ints
@@ -215,15 +219,18 @@ def drop_slot(own: FilterRow, k: int, rules: Any) -> None:
 def assign_slots(
     own: FilterRow, carriers: Carriers, code: Array, order: Ints, count: int, ambiguities: Records, rules: Any
 ) -> None:
-    """Begin to follow the satellites of ``order`` (count,), held ones first, where a slot is free.
+    """Begin to follow satellites of ``order`` (count,), held ones first, further signals last, where a slot is free.
 
     A satellite gets the slot that it had before, if that is free: errors of its measurements may last.
     """
     slots = own.slots
-    for turn in range(2):
+    for turn in range(4):
         for i in range(count):
             s = order[i]
-            if ambiguities[s].held != (turn == 0) or follows(slots, s) >= 0:
+            if ambiguities[s].held != (turn % 2 == 0) or follows(slots, s) >= 0:
+                continue
+            owner = owner_of(carriers.satellites, s)
+            if (owner != s) != (turn >= 2) or (owner != s and follows(slots, owner) < 0):
                 continue
             free = -1
             for k in range(slots.shape[0]):
@@ -260,8 +267,10 @@ def _measurements(
     n = 0
     for k in range(slots.shape[0]):
         s = slots[k].satellite
-        if not (slots[k].followed and used[s]):
+        owner = owner_of(carriers.satellites, s)
+        if not (slots[k].followed and used[s] and used[owner]):
             continue
+        host = k if owner == s else follows(slots, owner)
         satellite, sine = carriers.satellites[s], max(carriers.los[s, 2], 0.05)
         oblique = obliquity(sine)
         for phase in range(2):
@@ -270,10 +279,10 @@ def _measurements(
             for b in range(rules.bands):
                 wavelength = satellite.wavelength[b]
                 sign = 1.0 if phase == 0 else -1.0
-                out.row[n], out.slot[n] = MEASURED * k + 2 * phase + b, k
+                out.row[n], out.slot[n] = MEASURED * k + 2 * phase + b, host
                 out.state[n] = STATES * k + b if phase == 1 else -1
                 out.wavelength[n] = wavelength
-                out.ionosphere[n] = sign * oblique * (wavelength / satellite.wavelength[0]) ** 2
+                out.ionosphere[n] = sign * oblique * (wavelength / first_wavelength(satellite)) ** 2
                 out.zenith[n] = 1.0 / sine
                 for c in range(3):
                     out.los[n, c] = -carriers.los[s, c]
@@ -449,7 +458,7 @@ def _unknowns(
             elif base != k and not searched[k] and normal[state, state] > NEGLIGIBLE:
                 unknown[n] = state
                 n += 1
-        if rules.filter.ionosphere > 0.0:
+        if rules.filter.ionosphere > 0.0 and not carriers.satellites[s].further:
             unknown[n] = STATES * k + 2
             n += 1
     if rules.filter.troposphere > 0.0:

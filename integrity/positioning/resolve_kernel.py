@@ -49,6 +49,7 @@ from lanebound.integrity.positioning.rtk_kernel import (
     held_base,
     held_risk,
     order_by_variance,
+    owner_of,
 )
 
 __all__ = ["FloatSource", "add_held", "attempt", "base_of", "resolve"]
@@ -202,20 +203,22 @@ def accept(floats: Floats, groups: int, rate: float, limit: float, rules: Any, s
 
 
 @jit
-def relief(pull: Array, weight: Array, own: Array, bands: int) -> float:
+def relief(pull: Array, weight: Array, own: Array, column: Ints, columns: int) -> float:
     """By how much the norm falls when one satellite's ambiguities are left free: ``g' H^-1 g``.
 
     ``own`` (n,) is the sign with which the satellite enters each ambiguity; ``g = C'Wv`` and ``H = C'WC``, where C has
-    a column for each band.
+    a column for each band and signal, of which ``column`` (n,) is that of each ambiguity.
     """
-    g, h = np.zeros(2), np.zeros((2, 2))
+    g, h = np.zeros(columns), np.zeros((columns, columns))
     for i in range(own.shape[0]):
         if own[i] != 0.0:
-            g[i % bands] += own[i] * pull[i]
+            g[column[i]] += own[i] * pull[i]
             for k in range(own.shape[0]):
-                h[i % bands, k % bands] += own[i] * own[k] * weight[i, k]
-    if bands == 1:
+                h[column[i], column[k]] += own[i] * own[k] * weight[i, k]
+    if columns == 1:
         return float(g[0] * g[0] / h[0, 0])
+    if columns > 2:
+        return float(np.dot(g, np.linalg.solve(h, g)))
     norm = h[1, 1] * g[0] * g[0] - 2.0 * h[0, 1] * g[0] * g[1] + h[0, 0] * g[1] * g[1]
     return float(norm / (h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]))
 
@@ -228,26 +231,35 @@ def suspect(
     """How far each satellite of a refused set explains the misfit of its ``best`` integers (n,); returns their number.
 
     ``relieved`` (S,) is the part of the norm ``v' Q_a^-1 v`` that would vanish without the satellite (:func:`relief`),
-    and -1 for those outside the set. A reference enters all ambiguities of its system, with the opposite sign.
+    and -1 for those outside the set. A reference enters all ambiguities of its system, with the opposite sign. A
+    satellite and its further signals are one.
     """
     satellites, n = carriers.satellites, bands * groups
     weight = np.linalg.inv(floats.covariance[:n, :n])
     pull, own, count = weight @ (floats.ambiguity[:n] - best[:n]), np.empty(n), 0
+    column = np.empty(n, dtype=np.int64)
     relieved[:] = -1.0
     for j in range(floats.satellites):
-        s = floats.order[j]
-        if not chosen[s] or ambiguities[s].held:
+        s = owner_of(satellites, floats.order[j])
+        if relieved[s] >= 0.0:
             continue
-        reference, any_own = is_reference(s, floats), False
-        for i in range(n):
-            own[i] = 0.0
-            if floats.owner[i] == s:
-                own[i] = 1.0
-            elif reference and satellites[floats.owner[i]].system == satellites[s].system:
-                own[i] = -1.0
-            any_own = any_own or own[i] != 0.0
-        if any_own:
-            relieved[s] = relief(pull, weight, own, bands)
+        own[:], column[:], columns = 0.0, 0, 0
+        for j2 in range(j, floats.satellites):
+            s2 = floats.order[j2]
+            if owner_of(satellites, s2) != s or not chosen[s2] or ambiguities[s2].held:
+                continue
+            reference, any_own = is_reference(s2, floats), False
+            for i in range(n):
+                sign = 0.0
+                if floats.owner[i] == s2:
+                    sign = 1.0
+                elif reference and satellites[floats.owner[i]].system == satellites[s2].system:
+                    sign = -1.0
+                if sign != 0.0:
+                    own[i], column[i], any_own = sign, columns + i % bands, True
+            columns += bands if any_own else 0
+        if columns > 0:
+            relieved[s] = relief(pull, weight, own, column, columns)
             count += 1
     return count
 
@@ -318,13 +330,15 @@ def resolve(
     left = rules.fix_limit - held_risk(ambiguities)
     first, rest = FIRST_SHARE * left, (1.0 - FIRST_SHARE) * left
     status, rate, sets = attempt(carriers, candidate, ambiguities, source, rules, first, next_id, 0.0, chosen, relieved)
+    others = candidate.copy()
     for _ in range(min(rules.attempts, sets)):
-        s = np.argmax(relieved)
-        relieved[s], candidate[s] = -1.0, False
+        worst = np.argmax(relieved)
+        relieved[worst] = -1.0
+        for s in range(n_sat):
+            others[s] = candidate[s] and owner_of(carriers.satellites, s) != worst
         again, _, _ = attempt(
-            carriers, candidate, ambiguities, source, rules, rest / sets, next_id, rate + rest, chosen, unread
+            carriers, others, ambiguities, source, rules, rest / sets, next_id, rate + rest, chosen, unread
         )
-        candidate[s] = True
         if again == FIXED:
             return FIXED, rate
     return int(status), rate

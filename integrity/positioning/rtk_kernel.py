@@ -35,6 +35,7 @@ __all__ = [
     "collapse_code",
     "collapse_phase",
     "drop_small_systems",
+    "first_wavelength",
     "float_ambiguities",
     "has_atmosphere",
     "held_base",
@@ -42,6 +43,7 @@ __all__ = [
     "leave_out_faded",
     "obliquity",
     "order_by_variance",
+    "owner_of",
     "range_of",
     "select",
     "weigh",
@@ -60,8 +62,11 @@ SATELLITE = record(
     fixable=("?", "its ambiguities are integers"),
     prior="its fault probability [-]",
     wavelength=("f8", (2,), "of the bands tracked [m]"),
+    further=("?", "it is one more signal of the satellite ``host``: it helps to find integers, in no position"),
+    host=("i8", "that satellite"),
+    first="wavelength of the first band of that satellite [m]",
 )
-"""What is constant of a satellite."""
+"""What is constant of a satellite, or of one more signal of a satellite."""
 
 AMBIGUITY = record(
     held=("?", "the integers are fixed and held"),
@@ -174,6 +179,18 @@ def atmosphere_variance(sine: float, satellite: Any, rules: Any) -> float:
     ionosphere = total * rules.filter.ionosphere * obliquity(sine)
     troposphere = rules.filter.troposphere * (1.0 / sine - 1.0)
     return float(ionosphere * ionosphere + troposphere * troposphere)
+
+
+@jit(borrows=True)
+def owner_of(satellites: Records, s: int) -> int:
+    """The satellite that sends signal s: itself, or the host of a further signal."""
+    return int(satellites[s].host) if satellites[s].further else s
+
+
+@jit(borrows=True)
+def first_wavelength(satellite: Any) -> float:
+    """Wavelength [m] of the band on which the ionosphere of a satellite is counted."""
+    return float(satellite.first if satellite.further else satellite.wavelength[0])
 
 
 @jit(borrows=True)
@@ -378,10 +395,13 @@ def held_risk(ambiguities: Records) -> float:
 
 @jit
 def drop_small_systems(member: Bools, satellites: Records, minimum: int) -> tuple[int, int]:
-    """Leave out systems with fewer than ``minimum`` members; returns the number of satellites and of systems left."""
+    """Leave out systems with fewer than ``minimum`` members; returns the number of satellites and of systems left.
+
+    Further signals of satellites stay, and do not count.
+    """
     count = np.zeros(MAX_GROUPS, dtype=np.int64)
     for s in range(member.shape[0]):
-        if member[s]:
+        if member[s] and not satellites[s].further:
             count[satellites[s].system] += 1
     members, systems = 0, 0
     for c in range(MAX_GROUPS):
@@ -389,6 +409,6 @@ def drop_small_systems(member: Bools, satellites: Records, minimum: int) -> tupl
             members += count[c]
             systems += 1
     for s in range(member.shape[0]):
-        if member[s] and count[satellites[s].system] < minimum:
+        if member[s] and not satellites[s].further and count[satellites[s].system] < minimum:
             member[s] = False
     return members, systems

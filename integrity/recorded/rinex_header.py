@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.source import finite_number, whole_number
 
-__all__ = ["FIRST_LABEL", "LABEL_AT", "Header", "HeaderBuilder", "b1_in_band_2"]
+__all__ = ["FIRST_LABEL", "LABEL_AT", "SYSTEMS", "Header", "HeaderBuilder", "b1_in_band_2"]
 
 LABEL_AT = 60
 FIRST_LABEL = "RINEX VERSION / TYPE"

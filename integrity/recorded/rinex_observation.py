@@ -2,13 +2,14 @@
 
 IGS/RTCM RINEX Version 3.04, table A3: an epoch line ``> year month day hour minute second flag number [clock]``, then
 one line for each satellite with 16 characters for each observation code: F14.3, loss-of-lock indicator, strength. Times
-are in the time system of the file; files in GLONASS time or UTC are refused because of their leap seconds.
+are in the time system of the file; files in GLONASS time or UTC are refused because of their leap seconds. Rows of
+systems without a list of codes and a few values that are no numbers are left out and counted.
 """
 
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.rinex_header import FIRST_LABEL, LABEL_AT, Header, HeaderBuilder
+from lanebound.integrity.recorded.rinex_header import FIRST_LABEL, LABEL_AT, SYSTEMS, Header, HeaderBuilder
 from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
 from lanebound.integrity.sky.systems import PRN_BEFORE
 
@@ -32,6 +33,8 @@ ORIGIN = date(1980, 1, 6)
 GOOD, POWER_FAILURE, CYCLE_SLIPS, MAX_FLAG, LEFT_OUT = 0, 1, 6, 6, 7  # of epochs; the last one is ours
 MAX_SATELLITES = 999
 BDT_BEHIND_GPS_S = 14.0  # BeiDou time starts at 2006-01-01 without the leap seconds before that date
+MOST_GARBLED = 20  # values that are no numbers; a file with more of them is damaged
+DATE_PARTS = ("year", "month", "day", "hour", "minute")
 SAME_TIME = ("GPS", "GAL", "QZS", "IRN", "BDT")
 
 
@@ -66,7 +69,8 @@ class Observations:
     """Header, GPS week (T,), time of week (T,) [s], power failure before an epoch (T,), and rows by system letter.
 
     ``stopped`` tells where reading ended before the end of the file, ``left_out`` how many epochs were not later than
-    the one before and were left out (files that were joined, epochs that are there twice).
+    the one before and were left out (files that were joined, epochs that are there twice), ``undeclared`` how many rows
+    were of systems without codes in the header, by letter, and ``garbled`` how many values were no numbers.
     """
 
     header: Header
@@ -76,12 +80,17 @@ class Observations:
     rows: dict[str, SystemRows]
     stopped: Stop | None
     left_out: int = 0
+    undeclared: dict[str, int] = field(default_factory=dict)
+    garbled: int = 0
 
     @property
     def note(self) -> str:
         """What of the file was not used, "" for nothing."""
         late = f"{self.left_out} epochs left out that are not later than the one before" if self.left_out else ""
-        return "; ".join(text for text in (str(self.stopped or ""), late) if text)
+        rows = ", ".join(f"{count} of {letter}" for letter, count in self.undeclared.items())
+        rows = f"rows left out of systems without SYS / # / OBS TYPES: {rows}" if rows else ""
+        garbled = f"{self.garbled} values left out that are no numbers" if self.garbled else ""
+        return "; ".join(text for text in (str(self.stopped or ""), late, rows, garbled) if text)
 
     @property
     def half_cycle_share(self) -> float:
@@ -163,6 +172,8 @@ class _Parser:
         self.rows: dict[str, _ObservationRows] = {}
         self.week, self.tow, self.power = array("q"), array("d"), array("b")
         self.left, self.flag, self.done, self.left_out = 0, GOOD, 0, 0
+        self.undeclared: dict[str, int] = {}
+        self.garbled = 0
 
     def unfinished(self) -> str:
         """The missing part at the end of the file, "" for none."""
@@ -225,15 +236,31 @@ class _Parser:
             return
         rows = self.rows.get(text[0])
         if rows is None:
-            raise ValueError(
-                f"satellite {text[:3]!r} must be of a system in SYS / # / OBS TYPES ({''.join(self.rows)})"
-            )
-        satellite = whole_number(text[1:3], 0, 99) + PRN_BEFORE.get(text[0], 0)
-        values, lost = _fields(text, rows.codes)
+            self._undeclared(text)
+            return
+        try:
+            satellite = whole_number(text[1:3], 0, 99) + PRN_BEFORE.get(text[0], 0)
+        except ValueError as error:
+            raise ValueError(f"the number of satellite {text[:3]!r} {error}") from None
+        values, lost, garbled = _fields(text, rows.codes)
+        if garbled:
+            self.garbled += 1
+            if self.garbled > MOST_GARBLED:
+                raise ValueError(f"{garbled}, after {MOST_GARBLED} other values that are no numbers: is it damaged?")
         rows.value.extend(value / scale for value, scale in zip(values, rows.scales, strict=True))
         rows.lost.extend(lost)
         rows.satellite.append(satellite)
         rows.epoch.append(len(self.tow) - 1)
+
+    def _undeclared(self, text: str) -> None:
+        """Count a row whose system has no codes; refuse what is no row of a satellite."""
+        if text[0] == ">":
+            raise ValueError(f"the epoch before must have as many records as its head counts, {self.left} are missing")
+        if text[0] not in SYSTEMS:
+            raise ValueError(
+                f"satellite {text[:3]!r} must be of a system in SYS / # / OBS TYPES ({''.join(self.rows)})"
+            )
+        self.undeclared[text[0]] = self.undeclared.get(text[0], 0) + 1
 
     def _event_header(self, text: str) -> None:
         """Refuse header lines inside the file that change the columns."""
@@ -249,7 +276,7 @@ class _Parser:
         week, tow = np.array(self.week[:n], dtype=np.int64), np.array(self.tow[:n])
         power = np.array(self.power[:n], dtype=np.bool_)
         rows = {system: r.finished(n) for system, r in self.rows.items()}
-        return Observations(self.header, week, tow, power, rows, stopped, self.left_out)
+        return Observations(self.header, week, tow, power, rows, stopped, self.left_out, self.undeclared, self.garbled)
 
 
 def _gps_time(text: str, ahead_s: float) -> tuple[int, float]:
@@ -257,11 +284,17 @@ def _gps_time(text: str, ahead_s: float) -> tuple[int, float]:
     words = text.split()
     if len(words) != 6:
         raise ValueError(f"an epoch must have year, month, day, hour, minute and second, got {text.strip()[:40]!r}")
-    year, month, day, hour, minute = (
-        whole_number(word, low, high)
-        for word, low, high in zip(words[:5], (1980, 1, 1, 0, 0), (2200, 12, 31, 23, 59), strict=True)
-    )
-    second = finite_number(words[5], 0.0, 61.0)
+    parts = []
+    for name, word, low, high in zip(DATE_PARTS, words, (1980, 1, 1, 0, 0), (2200, 12, 31, 23, 59), strict=False):
+        try:
+            parts.append(whole_number(word, low, high))
+        except ValueError as error:
+            raise ValueError(f"the {name} of an epoch {error}") from None
+    year, month, day, hour, minute = parts
+    try:
+        second = finite_number(words[5], 0.0, 61.0)
+    except ValueError as error:
+        raise ValueError(f"the second of an epoch {error}") from None
     days = (date(year, month, day) - ORIGIN).days
     if days < 0:
         raise ValueError(f"an epoch must lie after 1980-01-06, got {text.strip()[:40]!r}")
@@ -270,20 +303,22 @@ def _gps_time(text: str, ahead_s: float) -> tuple[int, float]:
     return days // 7 + over, tow - WEEK_S * over
 
 
-def _fields(text: str, codes: tuple[str, ...]) -> tuple[list[float], list[int]]:
-    """Values and loss-of-lock bits of one satellite line; blank is 0."""
+def _fields(text: str, codes: tuple[str, ...]) -> tuple[list[float], list[int], str]:
+    """Values and loss-of-lock bits of one satellite line, 0 for blanks; the last value that is no number, 0 too."""
     if text[3 + FIELD * len(codes) :].strip():
         raise ValueError(f"satellite {text[:3]} must have at most {len(codes)} observations, the line is longer")
-    values, lost = [], []
+    values, lost, garbled = [], [], ""
     for i, code in enumerate(codes):
         cell = text[3 + FIELD * i : 3 + FIELD * (i + 1)]
-        number = cell[:14].strip()
+        number, indicator = cell[:14].strip(), cell[14:15].strip()
+        value = 0.0
         try:
-            values.append(finite_number(number, -1e12, 1e12) if number else 0.0)
+            value = finite_number(number, -1e12, 1e12) if number else 0.0
         except ValueError as error:
-            raise ValueError(f"{code} of {text[:3]} {error}") from None
-        indicator = cell[14:15].strip()
+            garbled = f"{code} of {text[:3]} {error}"
         if indicator and not indicator.isdigit():
-            raise ValueError(f"loss of lock of {code} of {text[:3]} must be a digit, got {indicator!r}")
+            garbled = f"loss of lock of {code} of {text[:3]} must be a digit, got {indicator!r}"
+            value, indicator = 0.0, ""
+        values.append(value)
         lost.append(int(indicator) & (LOST | HALF) if indicator else 0)
-    return values, lost
+    return values, lost, garbled

@@ -1,9 +1,9 @@
 """RTK of recorded receivers: processes any rover, base and navigation file with the RTK stages of the navigator.
 
 Each epoch: single differences, a code position, then the RTK stages, which track carrier lock, resolve integers
-(LAMBDA, ratio test with fixed failure rate), detect and exclude faults, and compute protection levels. Without a fix
-the position is the code position with its own levels. There is no motion model: static and moving rovers are processed
-alike.
+(LAMBDA, ratio test with fixed failure rate), detect and exclude faults, and compute protection levels. All signals that
+both receivers track help to find integers; the fixed position takes the first band. Without a fix the position is the
+code position with its own levels. There is no motion model: static and moving rovers are processed alike.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.resolve_kernel import FIRST_SHARE
-from lanebound.integrity.positioning.rtk_kernel import select, weigh
+from lanebound.integrity.positioning.rtk_kernel import MOST_AMBIGUITIES
 from lanebound.integrity.positioning.rtk_status import RtkStatus
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.differences import Arc, Reduced, arc_of, matched, reduce_epoch
-from lanebound.integrity.replay.rtk_stages import RtkStages, Signals
+from lanebound.integrity.replay.pair_signals import SlipComparison, code_rows, entries_of, signals_of
+from lanebound.integrity.replay.rtk_stages import RtkStages
 from lanebound.integrity.replay.signal_choice import Choice, choose_signals
 from lanebound.integrity.sky.broadcast import Ephemerides
-from lanebound.integrity.sky.systems import FIXABLE
 
-__all__ = ["Baseline", "BaselineConfig", "solve_baseline"]
+__all__ = ["Baseline", "BaselineConfig", "base_antenna", "on_earth", "solve_baseline"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -61,7 +61,7 @@ class RecordedRtkConfig(RtkConfig):
         0.0042, gt=0, description="phase, zenith, one band [m]; root 2 x 3 mm, RTKLIB's default of one receiver"
     )
     max_candidates: int = Field(
-        40, ge=4, le=40, description="satellites whose ambiguities are estimated and searched at once [-]"
+        MOST_AMBIGUITIES, ge=4, le=MOST_AMBIGUITIES, description="signals whose ambiguities are estimated at once [-]"
     )
     float_solution: RecordedFloatConfig = RecordedFloatConfig()
 
@@ -69,7 +69,7 @@ class RecordedRtkConfig(RtkConfig):
 class BaselineConfig(Config):
     """Parameters of the solution of recorded baselines and of its protection levels."""
 
-    bands: int | None = Field(None, ge=1, le=2, description="number of bands; None: two if both receivers have two [-]")
+    bands: int | None = Field(None, ge=1, le=3, description="bands of a system at most; None: all, up to three [-]")
     ionosphere_ppm: float = Field(
         0.5,
         ge=0,
@@ -87,11 +87,12 @@ class BaselineConfig(Config):
 
 @dataclass(frozen=True)
 class Baseline:
-    """Epochs (T,) of the rover: GPS week, time of week [s], mode, status codes of RtkStatus, position relative to the
-    base in E, N, U (T, 3) and in ECEF [m], heading [rad], levels and sigmas (T, 2) on AT, CT [m], numbers of satellites
-    and of excluded ones, risk of wrong integers, age of the base epoch [s], number of satellites whose integers were
-    sought and the failure rate of their integers, whose limit is ``failure_limit``; ``choice`` of signals;
-    ``base_ecef_m`` (3,), origin of E, N, U.
+    """All epochs (T,) of the rover: GPS week, time of week [s], mode, status codes of RtkStatus, position relative to
+    the base in E, N, U (T, 3) and in ECEF [m], heading [rad], levels and sigmas (T, 2) on AT, CT [m], numbers of
+    satellites and of excluded ones, risk of wrong integers, age of the base epoch [s], inf without one, number of
+    signals whose integers were sought and the failure rate of their integers, whose limit is ``failure_limit``;
+    ``choice`` of signals; ``base_ecef_m`` (3,), origin of E, N, U; the configuration ``rtk``. Levels are relative to
+    the base.
 
     Positions are those of the antenna reference points of rover and base. The offset to the marker is ANTENNA: DELTA
     H/E/N of the header. Phase centres are assumed at the reference points (no calibrations).
@@ -115,6 +116,7 @@ class Baseline:
     failure_limit: float
     choice: Choice
     base_ecef_m: Array
+    rtk: RtkConfig
 
     @property
     def fixed(self) -> NDArray[np.bool_]:
@@ -126,7 +128,7 @@ def solve_baseline(
     rover: Observations, base: Observations, table: Ephemerides, base_ecef_m: Array | None = None,
     config: BaselineConfig | None = None, progress: Progress = silent,
 ) -> Baseline:  # fmt: skip
-    """Solve all epochs of the rover with a base epoch that is not too old.
+    """Solve all epochs of the rover; those without a base epoch that is not too old have the status NO_CORRECTIONS.
 
     Parameters
     ----------
@@ -140,7 +142,7 @@ def solve_baseline(
         There is no position of the base, no common epochs, signals or satellites, or no navigation of that time.
     """
     config = config or BaselineConfig()
-    place = _base_antenna(base, base_ecef_m)
+    place = base_antenna(base, base_ecef_m)
     rtk = config.rtk
     choice = choose_signals(rover, base, config.bands, cn0_min_dbhz=rtk.cn0_min_dbhz, cn0_knee_dbhz=rtk.cn0_knee_dbhz)
     epochs, partners, age = matched(rover, base, config.rtk.max_age_s)
@@ -150,7 +152,8 @@ def solve_baseline(
         )
     if not len(table):
         raise InputError(
-            "table must hold messages of GPS, Galileo, BeiDou or QZSS, has none: pass the day's navigation"
+            "the navigation files must hold messages of GPS, Galileo, BeiDou or QZSS, have none: pass the day's "
+            "navigation"
         )
     arcs = [arc_of(data, codes, choice, table) for data, codes in ((rover, choice.rover), (base, choice.base))]
     _require_messages(rover, arcs, table)
@@ -163,17 +166,27 @@ def on_earth(place_ecef_m: Array) -> bool:
     return 6.0e6 < float(np.linalg.norm(place_ecef_m)) < 7.0e6
 
 
-def _base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
-    """Antenna reference point of the base (3,) [m]: the given one, otherwise that of its header."""
+def base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
+    """Antenna reference point of the base (3,) [m]: the given one, otherwise that of its header.
+
+    Raises
+    ------
+    InputError
+        There is none, or it is not on Earth.
+    """
     place = base.header.antenna_ecef_m if given_ecef_m is None else given_ecef_m
     if place is None:
         raise InputError(
-            "base_ecef_m must be given, the base's header has no APPROX POSITION XYZ: pass its coordinates"
+            "the position of the base must be known, its header has no APPROX POSITION XYZ: pass it with "
+            "--base-position (base_ecef_m)"
         )
     place = require_finite("base_ecef_m", place)
     require_shape("base_ecef_m", place, (3,))
     if not on_earth(place):
-        raise InputError(f"base_ecef_m must lie near the Earth's surface, got {place.tolist()} m: give ECEF in metres")
+        raise InputError(
+            f"the position of the base must lie near the Earth's surface, got {place.tolist()} m: correct "
+            "--base-position (base_ecef_m) or the header"
+        )
     return place
 
 
@@ -206,48 +219,48 @@ class _Session:
     ) -> None:
         self.rover, self.base, self.place, self.choice, self.config = rover, base, place, choice, config
         self.system = np.ascontiguousarray(table.satellites[:, 0])
-        chosen = np.isin(self.system, np.flatnonzero((choice.wavelength_m != 1.0).any(-1)))
-        self.chosen = chosen
         latitude, longitude, _ = geodetic_from_ecef(place)
         self.axes = ecef_from_enu_matrix(latitude, longitude)
-        self.stages = RtkStages(
-            config.rtk, config.slips, config.fde, config.risk, self.system, np.ascontiguousarray(choice.wavelength_m),
-            np.asarray(FIXABLE[self.system] & chosen), choice.bands,
-        )  # fmt: skip
+        self.entries = entries_of(choice, rover, base, table.satellites, config.rtk.cn0_min_dbhz)
+        self.stages = RtkStages(config.rtk, config.slips, config.fde, config.risk, self.entries)
+        self.slips = SlipComparison(self.entries, config.rtk, config.slips)
         self.heading = 0.0
         self.before: Array | None = None
         self.passed: Array | None = None
 
     def solve(self, rover: Observations, epochs: Ints, partners: Ints, age: Array, progress: Progress) -> Baseline:
-        """Solve all matched epochs."""
-        n = epochs.size
+        """Solve the matched epochs among all of the rover."""
+        n = rover.epochs
         out = Baseline(
-            rover.week[epochs], rover.tow_s[epochs], np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros((n, 3)),
+            rover.week, rover.tow_s, np.zeros(n, np.int64), np.full(n, RtkStatus.NO_CORRECTIONS.code), np.zeros((n, 3)),
             np.zeros((n, 3)), np.zeros(n), np.full((n, 2), np.inf), np.full((n, 2), np.inf), np.zeros(n, np.int64),
-            np.zeros(n, np.int64), np.zeros(n), age, np.zeros(n, np.int64), np.zeros(n),
+            np.zeros(n, np.int64), np.zeros(n), np.full(n, np.inf), np.zeros(n, np.int64), np.zeros(n),
             FIRST_SHARE * self.config.rtk.ambiguity_risk_share * self.config.risk.integrity_risk, self.choice,
-            self.place,
+            self.place, self.config.rtk,
         )  # fmt: skip
-        time = rover.since(int(rover.week[0]))[epochs]
-        for k in range(n):
-            dt = float(time[k] - time[k - 1]) if k else 1.0
-            self._epoch(k, int(epochs[k]), int(partners[k]), float(age[k]), dt, out)
-            progress(k + 1, n)
+        out.age_s[epochs] = age
+        time = rover.since(int(rover.week[0]))
+        for m, k in enumerate(epochs.tolist()):
+            dt = float(time[k] - time[epochs[m - 1]]) if m else 1.0
+            self._epoch(k, int(partners[m]), dt, out)
+            progress(m + 1, len(epochs))
         out.ecef_m[:] = np.where((out.mode != Mode.NONE)[:, None], self.place + out.enu_m @ self.axes.T, 0.0)
         return out
 
-    def _epoch(self, k: int, i: int, j: int, age: float, dt: float, out: Baseline) -> None:
-        """Solve one epoch: code position, RTK stages, levels."""
-        found = self._code_position(i, j)
+    def _epoch(self, k: int, j: int, dt: float, out: Baseline) -> None:
+        """Solve epoch k of the rover with epoch j of the base: code position, RTK stages, levels."""
+        found = self._code_position(k, j)
         if found is None:
             self.stages.release()
             out.status[k] = RtkStatus.TOO_FEW.code
             return
-        signals, reduced, near, code_levels = found
+        reduced, near, code_levels, coded = found
         self.before = near
+        signals = signals_of(reduced, self.entries, self.config.rtk)
+        signals = signals._replace(lost=self.slips.lost(signals, dt))
         sine, cosine = float(np.sin(self.heading)), float(np.cos(self.heading))
         air = self._atmosphere(near)
-        fixed, levels = self.stages.step(signals, age, dt, near, sine, cosine, *air)
+        fixed, levels = self.stages.step(signals, float(out.age_s[k]), dt, near, sine, cosine, *air)
         out.status[k], out.excluded[k], out.heading_rad[k] = fixed["status"], fixed["excluded"], self.heading
         out.searched[k], out.failure[k] = fixed["searched"], fixed["failure"]
         if fixed["status"] == RtkStatus.FIXED.code:
@@ -256,7 +269,7 @@ class _Session:
             out.enu_m[k], out.pl_m[k], out.sigma_m[k] = fixed["position"], levels, fixed["sigma"]
             self._turn(out.enu_m[k])
         elif code_levels is not None:
-            out.mode[k], out.satellites[k] = int(Mode.CODE), int(reduced.tracked.sum())
+            out.mode[k], out.satellites[k] = int(Mode.CODE), coded
             out.enu_m[k], out.pl_m[k], out.sigma_m[k] = near, code_levels[0], code_levels[1]
 
     def _atmosphere(self, near: Array) -> tuple[float, float]:
@@ -276,62 +289,40 @@ class _Session:
             self.heading = float(np.arctan2(step[0], step[1]))
         self.passed = fixed_m.copy()
 
-    def _code_position(self, i: int, j: int) -> tuple[Signals, Reduced, Array, tuple[Array, Array] | None] | None:
-        """Signals relative to the code position, the reduced epoch, that position (3,), and its levels if its test
-        passes; None without a position."""
+    def _code_position(self, i: int, j: int) -> tuple[Reduced, Array, tuple[Array, Array] | None, int] | None:
+        """The reduced epoch, the code position (3,), its levels if its test passes, and its number of satellites; None
+        without a position."""
         near = self.before if self.before is not None else np.zeros(3)
         for _ in range(POSITION_ROUNDS):
             reduced = reduce_epoch(
-                self.rover, self.base, i, j, self.place + self.axes @ near, self.place, self.choice.bands,
-                self.config.rtk.cn0_min_dbhz,
-            )  # fmt: skip
-            signals = self._signals(reduced)
-            solved = self._code_solution(signals)
+                self.rover, self.base, i, j, self.place + self.axes @ near, self.place, self.config.rtk.cn0_min_dbhz
+            )
+            solved = self._code_solution(reduced)
             if solved is None:
                 return None
             moved, near = float(np.linalg.norm(solved[0] - near)), solved[0]
             if moved < 1e-3:
                 break
         assert solved is not None  # there is at least one iteration
-        return signals, reduced, near, solved[1]
+        return reduced, near, solved[1], solved[2]
 
-    def _signals(self, reduced: Reduced) -> Signals:
-        tracked, e, quality = (
-            reduced.tracked & self.chosen,
-            np.ascontiguousarray(reduced.sight_enu),
-            np.empty(len(self.system)),
-        )
-        weigh(e, tracked, reduced.cn0_dbhz, self.config.rtk.cn0_knee_dbhz, quality)
-        return Signals(
-            e, quality, tracked, reduced.cn0_dbhz, np.ascontiguousarray(reduced.code_m),
-            np.ascontiguousarray(reduced.phase_m), reduced.lost,
-        )  # fmt: skip
-
-    def _code_solution(self, signals: Signals) -> tuple[Array, tuple[Array, Array] | None] | None:
-        """Position (3,) from the differenced code, with levels and sigmas (2,) on AT, CT; None if it is singular."""
-        r, bands = self.config.rtk, self.choice.bands
-        factor, used = np.empty(len(self.system)), np.empty(len(self.system), np.bool_)
-        select(
-            signals.los, signals.tracked, signals.cn0, signals.quality, float(np.sin(np.deg2rad(r.elevation_mask_deg))),
-            r.cn0_min_dbhz, factor, used,
-        )  # fmt: skip
-        rows = np.flatnonzero(used)
+    def _code_solution(self, reduced: Reduced) -> tuple[Array, tuple[Array, Array] | None, int] | None:
+        """Position (3,) from the differenced code, with levels and sigmas (2,) on AT, CT, and its number of satellites;
+        None if it is singular."""
+        los, c = np.ascontiguousarray(reduced.sight_enu), self.config
+        rows, y, variance = code_rows(reduced, los, c.rtk)
         if rows.size < 4:
             return None
-        variance = factor[rows] * r.sigma_code_m**2 / bands
-        y = signals.code[rows, :bands].mean(-1)
         present, group = np.unique(self.system[rows], return_inverse=True)
-        design = design_matrix(signals.los[rows], group, len(present))
-        covariance = np.diag(variance)
+        design, covariance = design_matrix(los[rows], group, len(present)), np.diag(variance)
         if not gain(design, weights(covariance)).solved:
             return None
-        fde = detect_and_exclude(self.config.fde, design, covariance, y, heading_rad=self.heading)
+        fde = detect_and_exclude(c.fde, design, covariance, y, heading_rad=self.heading)
+        place, count = np.asarray(fde.adjustment.x[:3]), int(np.count_nonzero(fde.used))
         if int(fde.outcome) not in (FdeOutcome.CLEAN.code, FdeOutcome.EXCLUDED.code):
-            return np.asarray(fde.adjustment.x[:3]), None
-        levels = protection_levels_batch(
-            signals.los[rows][None], fde.used[None], group, variance, self.heading, self.config.risk
-        )
+            return place, None, count
+        levels = protection_levels_batch(los[rows][None], fde.used[None], group, variance, self.heading, c.risk)
         turn = np.array([[np.sin(self.heading), np.cos(self.heading)], [np.cos(self.heading), -np.sin(self.heading)]])
         spread = turn @ fde.adjustment.gain[:2]
         sigma = np.sqrt((spread**2 * variance).sum(-1))
-        return np.asarray(fde.adjustment.x[:3]), (levels.root_m[0, 0], sigma)
+        return place, (levels.root_m[0, 0], sigma), count

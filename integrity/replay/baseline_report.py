@@ -23,12 +23,13 @@ from lanebound.integrity.core.frames import (
 from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
-from lanebound.integrity.recorded.rinex_observation import Observations, read_observations
+from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations, read_observations
 from lanebound.integrity.recorded.source import finite_number
-from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, on_earth, solve_baseline
-from lanebound.integrity.replay.differences import arc_of
-from lanebound.integrity.replay.pair_files import code_places
+from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, base_antenna, on_earth, solve_baseline
+from lanebound.integrity.replay.code_places import CodePlaces, require_base
+from lanebound.integrity.replay.signal_choice import choose_signals
 from lanebound.integrity.sky.broadcast import Ephemerides, read_navigation
+from lanebound.integrity.sky.klobuchar import Klobuchar, read_klobuchar
 
 __all__ = ["read_coordinates", "run_baseline", "summarise"]
 
@@ -66,13 +67,17 @@ def run_baseline(
         raise InputError(f"rover and base must be files of two receivers, got {rover} twice: correct one of the paths")
     rover_data, base_data = read_observations(rover), read_observations(base)
     table = Ephemerides.merged([read_navigation(path) for path in navigation])
-    solved = solve_baseline(rover_data, base_data, table, base_ecef_m, config, progress)
+    config, source = config or BaselineConfig(), "the header of its file" if base_ecef_m is None else "--base-position"
+    place = base_antenna(base_data, base_ecef_m)
+    away = _checked(rover_data, base_data, table, read_klobuchar(navigation), place, source) if len(table) else None
+    solved = solve_baseline(rover_data, base_data, table, place, config, progress)
     notes = {"rover": rover_data.note, "base": base_data.note, "navigation": table.stopped}
     summary = {
         "stopped": {name: note for name, note in notes.items() if note},
         "signals": {"rover": solved.choice.rover, "base": solved.choice.base},
         "base_antenna_ecef_m": solved.base_ecef_m.tolist(),
-        "base_from_codes_m": _distance_to_codes(base_data, table, solved),
+        "base_antenna_from": source,
+        "base_from_codes_m": away,
         "base_from_header_m": _distance_to_header(solved.base_ecef_m, base_data.header.antenna_ecef_m),
         "half_cycle_share": {"rover": rover_data.half_cycle_share, "base": base_data.half_cycle_share},
         "antenna_delta_enu_m": {
@@ -91,10 +96,12 @@ def run_baseline(
     return summary, written
 
 
-def _distance_to_codes(base: Observations, table: Ephemerides, solved: Baseline) -> float | None:
-    """Distance of the base from where its own codes put it [m], within some tens of metres; None without positions."""
-    places = code_places(base, arc_of(base, solved.choice.base, solved.choice, table))
-    return float(np.linalg.norm(np.median(places, axis=0) - solved.base_ecef_m)) if len(places) else None
+def _checked(
+    rover: Observations, base: Observations, table: Ephemerides, ionosphere: Klobuchar | None, place: Array, source: str
+) -> float | None:
+    """Distance of the base from where its own codes put it [m]; InputError where it cannot stand there."""
+    choice = choose_signals(rover, base, 1)
+    return require_base(CodePlaces(base, choice.base, choice, table, ionosphere), place, source)
 
 
 def _distance_to_header(place: Array, header: Array | None) -> float | None:
@@ -103,7 +110,7 @@ def _distance_to_header(place: Array, header: Array | None) -> float | None:
 
 
 def _rows(solved: Baseline) -> Iterator[list[Any]]:
-    """One row for each epoch; empty cells for missing positions and levels."""
+    """One row for each epoch of the rover; empty cells for missing positions, levels and ages."""
     for k in range(len(solved.tow_s)):
         there = solved.mode[k] != Mode.NONE
         place = [*solved.ecef_m[k], *solved.enu_m[k]]
@@ -113,16 +120,18 @@ def _rows(solved: Baseline) -> Iterator[list[Any]]:
             RtkStatus.from_code(int(solved.status[k])).name.lower(), *(f"{v:.4f}" if there else "" for v in place),
             f"{solved.heading_rad[k]:.6f}", *(f"{v:.4f}" if np.isfinite(v) else "" for v in levels),
             int(solved.satellites[k]), int(solved.excluded[k]), f"{solved.wrong_fix_risk[k]:.3e}",
-            f"{solved.age_s[k]:.3f}",
+            f"{solved.age_s[k]:.3f}" if np.isfinite(solved.age_s[k]) else "",
         ]  # fmt: skip
 
 
 def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, Any]:
-    """Statistics of a solution as JSON data."""
-    fixed, modes = solved.fixed, np.bincount(solved.mode, minlength=len(Mode))
+    """Statistics of a solution as JSON data; epochs are those of the rover."""
+    fixed, there, modes = solved.fixed, solved.mode != Mode.NONE, np.bincount(solved.mode, minlength=len(Mode))
     found: dict[str, Any] = {
-        "epochs": len(solved.tow_s), "fixed": int(fixed.sum()), "modes": {m.key: int(modes[m]) for m in Mode},
-        "status": RtkStatus.count(solved.status), "satellites_median": float(np.median(solved.satellites)),
+        "epochs": len(solved.tow_s), "fixed": int(fixed.sum()), "fixed_share": float(fixed.mean()),
+        "first_fix_s": _first_fix_s(solved), "modes": {m.key: int(modes[m]) for m in Mode},
+        "status": RtkStatus.count(solved.status),
+        "satellites_median": float(np.median(solved.satellites[there])) if there.any() else 0.0,
         "excluded": int(solved.excluded.sum()),
         "wrong_fix_risk_max": float(solved.wrong_fix_risk[fixed].max()) if fixed.any() else None,
     }  # fmt: skip
@@ -140,20 +149,33 @@ def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, 
     return found
 
 
+def _first_fix_s(solved: Baseline) -> float | None:
+    """Time from the first epoch of the rover to the first that is fixed [s]; None without."""
+    if not solved.fixed.any():
+        return None
+    k = int(np.argmax(solved.fixed))
+    return float((solved.week[k] - solved.week[0]) * WEEK_S + solved.tow_s[k] - solved.tow_s[0])
+
+
 def _lacking(solved: Baseline, waiting: NDArray[np.bool_]) -> dict[str, Any]:
-    """What epochs that did not converge lacked: their failure rate and its limit, and their satellites."""
+    """What epochs that did not converge lacked: their failure rate and its limit, and their signals."""
     sought = waiting & (solved.searched > 0)
     rate = float(np.median(solved.failure[sought])) if sought.any() else None
-    satellites = float(np.median(solved.searched[sought])) if sought.any() else 0.0
+    signals = float(np.median(solved.searched[sought])) if sought.any() else 0.0
     if rate is None:
-        what = "no position from the codes passed its test: more satellites with strong signals are needed"
-    else:
-        bands = "" if solved.choice.bands == 2 else ", a second band"
+        used = "; ".join(f"{letter} {' '.join(codes)}" for letter, codes in solved.choice.rover.items())
         what = (
-            f"the failure rate of the integers of {satellites:g} satellites was {rate:.1e} (median), its limit is "
+            f"no position from the codes passed its test: it needs more satellites above "
+            f"{solved.rtk.elevation_mask_deg:g} deg with {solved.rtk.cn0_min_dbhz:g} dB-Hz and more at both receivers "
+            f"on the bands in use (rover: {used})"
+        )
+    else:
+        bands = "" if solved.choice.bands >= 2 else ", a second band"
+        what = (
+            f"the failure rate of the integers of {signals:g} signals was {rate:.1e} (median), its limit is "
             f"{solved.failure_limit:.1e}: more satellites{bands}, a shorter baseline or a longer time lower it"
         )
-    return {"failure_rate_median": rate, "failure_limit": solved.failure_limit, "satellites_median": satellites,
+    return {"failure_rate_median": rate, "failure_limit": solved.failure_limit, "signals_median": signals,
             "what": what}  # fmt: skip
 
 

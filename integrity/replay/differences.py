@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.sagnac import ranges_and_sights
-from lanebound.integrity.replay.signal_choice import LETTERS, USUAL_CN0_DBHZ, Choice
+from lanebound.integrity.replay.signal_choice import COLUMNS, LETTERS, USUAL_CN0_DBHZ, Choice, comparable_cn0
 from lanebound.integrity.sky.broadcast import Ephemerides, positions
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS
 
@@ -31,10 +31,10 @@ LOWEST_RAD = np.deg2rad(3.0)  # the simple troposphere model is not valid below
 
 @dataclass(frozen=True)
 class Arc:
-    """Observations of one receiver of the satellites of a navigation file: T epochs, S satellites, 2 bands.
+    """Observations of one receiver of the satellites of a navigation file: T epochs, S satellites, C signals each.
 
-    ``code`` [m], ``phase`` [m] (T, S, 2), 0 for none; ``lost`` and ``half`` (T, S); C/N0 (T, S, 2); satellite at
-    transmission (T, S, 3) ECEF [m], its clock [m] and whether there is a message (T, S).
+    ``code`` [m], ``phase`` [m] (T, S, C), 0 for none; ``lost``, ``half`` and C/N0 (T, S, C), of semi-codeless signals
+    made comparable; satellite at transmission (T, S, 3) ECEF [m], its clock [m] and whether there is a message (T, S).
     """
 
     code_m: Array
@@ -49,10 +49,10 @@ class Arc:
 
 @dataclass(frozen=True)
 class Reduced:
-    """One epoch of S satellites: unit vectors (S, 3) from the rover in E, N, U of the base; code and phase (S, 2) [m],
-    ``-e.x + clock`` with x relative to the base; C/N0, tracked on every band, and lock lost (S,).
+    """One epoch of S satellites, C signals: unit vectors (S, 3) from the rover in E, N, U of the base; code and phase
+    (S, C) [m], ``-e.x + clock`` with x relative to the base; C/N0, tracked, and lock lost (S, C).
 
-    The C/N0 is that of a signal whose variance is the mean over bands and receivers: ``-10 lg mean 10^(-C/N0 / 10)``.
+    The C/N0 is that of a signal whose variance is the mean over receivers: ``-10 lg mean 10^(-C/N0 / 10)``.
     """
 
     sight_enu: Array
@@ -66,9 +66,9 @@ class Reduced:
 def arc_of(observations: Observations, codes: dict[str, tuple[str, ...]], choice: Choice, table: Ephemerides) -> Arc:
     """Arrange observations by epoch and satellite, with the satellite positions at transmission."""
     satellites = table.satellites
-    shape = (observations.epochs, len(satellites))
-    code, phase = np.zeros((*shape, 2)), np.zeros((*shape, 2))
-    lost, half, cn0 = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_), np.full((*shape, 2), USUAL_CN0_DBHZ)
+    shape = (observations.epochs, len(satellites), COLUMNS)
+    code, phase, cn0 = np.zeros(shape), np.zeros(shape), np.full(shape, USUAL_CN0_DBHZ)
+    lost, half = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
     for letter, names in codes.items():
         rows, system = observations.rows[letter], LETTERS[letter]
         where = {int(prn): i for i, (s, prn) in enumerate(satellites) if s == system}
@@ -78,12 +78,13 @@ def arc_of(observations: Observations, codes: dict[str, tuple[str, ...]], choice
         for band, name in enumerate(names):
             code[(*at, band)] = rows.column(f"C{name}")[keep]
             phase[(*at, band)] = rows.column(f"L{name}")[keep] * choice.wavelength_m[system, band]
-            lost[at] |= rows.lost_lock(f"L{name}")[keep]
-            half[at] |= rows.half_cycle(f"L{name}")[keep]
+            lost[(*at, band)] = rows.lost_lock(f"L{name}")[keep]
+            half[(*at, band)] = rows.half_cycle(f"L{name}")[keep]
             strength = rows.column(f"S{name}")[keep]
-            cn0[(*at, band)] = np.where(strength > 0.0, strength, USUAL_CN0_DBHZ)
-    lost |= observations.power_failed[:, None]
-    return Arc(code, phase, lost, half, cn0, *_at_transmission(observations, code[..., 0], table))
+            cn0[(*at, band)] = np.where(strength > 0.0, comparable_cn0(name, strength), USUAL_CN0_DBHZ)
+    lost |= observations.power_failed[:, None, None]
+    first = np.take_along_axis(code, (code != 0.0).argmax(-1)[..., None], -1)[..., 0]
+    return Arc(code, phase, lost, half, cn0, *_at_transmission(observations, first, table))
 
 
 def _at_transmission(observations: Observations, range_m: Array, table: Ephemerides) -> tuple[Array, Array, Bools]:
@@ -110,12 +111,11 @@ def matched(rover: Observations, base: Observations, oldest_s: float) -> tuple[I
 
 
 def reduce_epoch(
-    rover: Arc, base: Arc, i: int, j: int, nominal_ecef_m: Array, base_ecef_m: Array, bands: int,
-    cn0_min_dbhz: float = 0.0,
-) -> Reduced:  # fmt: skip
+    rover: Arc, base: Arc, i: int, j: int, nominal_ecef_m: Array, base_ecef_m: Array, cn0_min_dbhz: float = 0.0
+) -> Reduced:
     """Difference rover epoch i and base epoch j at a nominal position of the rover.
 
-    A satellite is tracked when every band of both receivers has code, phase and at least ``cn0_min_dbhz``.
+    A signal is tracked when both receivers have its code and phase with at least ``cn0_min_dbhz``.
     """
     latitude, longitude, _ = geodetic_from_ecef(base_ecef_m)
     axes = ecef_from_enu_matrix(latitude, longitude)
@@ -127,15 +127,14 @@ def reduce_epoch(
     model = model + e @ ((nominal_ecef_m - base_ecef_m) @ axes)
     both = rover.known[i] & base.known[j]
     whole = [(a.code_m[k] != 0.0) & (a.phase_m[k] != 0.0) for a, k in ((rover, i), (base, j))]
-    strength = np.stack([rover.cn0_dbhz[i, :, :bands], base.cn0_dbhz[j, :, :bands]])
-    strong = (strength >= cn0_min_dbhz).all((0, 2))
-    tracked = both & strong & np.logical_and.reduce([w[:, :bands].all(-1) for w in whole])
-    keep, sure = tracked[:, None], ~(rover.half[i] | base.half[j])[:, None]
+    strength = np.stack([rover.cn0_dbhz[i], base.cn0_dbhz[j]])
+    tracked = both[:, None] & (strength >= cn0_min_dbhz).all(0) & whole[0] & whole[1]
+    sure = ~(rover.half[i] | base.half[j])
     return Reduced(
-        np.where(keep, e, [0.0, 0.0, 1.0]),
-        np.where(keep, rover.code_m[i] - base.code_m[j] - model[:, None], 0.0),
-        np.where(keep & sure, rover.phase_m[i] - base.phase_m[j] - model[:, None], 0.0),
-        -10.0 * np.log10((10.0 ** (-0.1 * strength)).mean((0, 2))), tracked, rover.lost[i] | base.lost[j],
+        np.where(both[:, None], e, [0.0, 0.0, 1.0]),
+        np.where(tracked, rover.code_m[i] - base.code_m[j] - model[:, None], 0.0),
+        np.where(tracked & sure, rover.phase_m[i] - base.phase_m[j] - model[:, None], 0.0),
+        -10.0 * np.log10((10.0 ** (-0.1 * strength)).mean(0)), tracked, rover.lost[i] | base.lost[j],
     )  # fmt: skip
 
 

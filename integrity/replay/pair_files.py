@@ -9,23 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.positioning.code_solution import gauss_newton
-from lanebound.integrity.recorded.rinex_observation import Observations, read_observations
+from lanebound.integrity.recorded.rinex_observation import read_observations
 from lanebound.integrity.recorded.source import Lines
-from lanebound.integrity.replay.differences import Arc, arc_of
-from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.replay.code_places import CodePlaces
 from lanebound.integrity.replay.signal_choice import choose_signals
 from lanebound.integrity.sky.broadcast import Ephemerides, read_navigation
 
-__all__ = ["PairFiles", "code_places", "find_pair", "navigation_files", "observation_files"]
+__all__ = ["PairFiles", "find_pair", "navigation_files", "observation_files"]
 
 NAMES = {"rover": ("rover", "rov", "mobile"), "base": ("base", "ref", "station")}
-MOVES_M = 15.0  # spread of code positions, 90 % of them, of a receiver that moves; noise is a few metres
-SAMPLES = 40  # epochs of which positions are computed
 
 
 @dataclass(frozen=True)
@@ -114,37 +107,5 @@ def _moving(files: list[Path], navigation: list[Path]) -> list[bool]:
     first, second = (read_observations(path) for path in files)
     choice = choose_signals(first, second, 1)
     return [
-        _spread_m(data, arc_of(data, codes, choice, table)) > MOVES_M
-        for data, codes in ((first, choice.rover), (second, choice.base))
+        CodePlaces(data, codes, choice, table).moves for data, codes in ((first, choice.rover), (second, choice.base))
     ]
-
-
-def _spread_m(observations: Observations, arc: Arc) -> float:
-    """The distance from their median within which 90 % of some code positions lie [m]; 0 without positions."""
-    places = code_places(observations, arc)
-    if not len(places):
-        return 0.0
-    return float(np.quantile(np.linalg.norm(places - np.median(places, axis=0), axis=1), 0.9))
-
-
-def code_places(observations: Observations, arc: Arc) -> NDArray[np.float64]:
-    """Positions of one receiver from its codes alone at some epochs, without models of the air, (n, 3) [m]."""
-    epochs = np.unique(np.linspace(0, observations.epochs - 1, SAMPLES).astype(int))
-    places = [place for k in epochs if (place := _code_position(arc, int(k))) is not None]
-    return np.array(places).reshape(-1, 3)
-
-
-def _code_position(arc: Arc, k: int) -> NDArray[np.float64] | None:
-    """Position (3,) of one receiver [m] from the codes of epoch k, by least squares; None from too few."""
-    rows = np.flatnonzero(arc.known[k] & (arc.code_m[k, :, 0] != 0.0))
-    if rows.size < 6:
-        return None
-    observed = arc.code_m[k, rows, 0] + arc.clock_m[k, rows]
-
-    def about(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        distance, sight = ranges_and_sights(arc.satellite_ecef_m[k, rows], place)
-        return observed - distance, sight
-
-    one = np.zeros((1, 3))
-    place, fit = gauss_newton(about, one, 1.0, np.ones((1, rows.size), bool), np.zeros(rows.size, np.int64))
-    return place[0] if fit.solved[0] else None

@@ -1,4 +1,9 @@
-"""The RTK stages of ``rtk_reckoning`` for one recorded receiver without other sensors."""
+"""The RTK stages of ``rtk_reckoning`` for one recorded receiver without other sensors.
+
+Each signal of a satellite is an entry of its own with one band, so that satellites may have any number of them. The
+first one of a satellite stands for it in positions and their fault tests; the others help to find its integers. They
+share its ionosphere, and a satellite under suspicion is left out with all its signals.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.chain_kernel import Chain
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.exclusion import FdeConfig
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
@@ -32,14 +38,16 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, E
 from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 
-__all__ = ["RtkStages", "Signals"]
+__all__ = ["Entries", "RtkStages", "Signals"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+FEWEST = 4  # candidates that RtkConfig demands
+
 
 class Signals(NamedTuple):
-    """One epoch of S satellites: los (S, 3); variance factor, tracked, cn0, lost (S,); code, phase (S, 2) [m]."""
+    """One epoch of N signals: los (N, 3); variance factor, tracked, cn0, lost, code and phase [m], (N,) each."""
 
     los: Array
     quality: Array
@@ -50,33 +58,46 @@ class Signals(NamedTuple):
     lost: Bools
 
 
+class Entries(NamedTuple):
+    """Signals (N,) of satellites: index of the satellite in the table, column of the signal in the choice, number of
+    its clock (below MAX_GROUPS), entry of the first signal of that satellite, wavelength [m], whether it may be fixed.
+    """
+
+    satellite: NDArray[np.int64]
+    column: NDArray[np.int64]
+    clock: NDArray[np.int64]
+    host: NDArray[np.int64]
+    wavelength_m: Array
+    fixable: Bools
+
+
 class RtkStages:
     """Carrier lock, integer resolution, fixed position and its levels, epoch by epoch, of one receiver.
 
     Parameters
     ----------
-    rtk, slips, fde, risk : their configurations
-    system : (S,) of the satellites
-    wavelength_m : (systems, bands)
-    fixable : (S,) bool, satellites whose integers may be fixed
-    bands : bands used
+    rtk, slips, fde, risk : their configurations; ``max_candidates`` of rtk counts signals
+    entries : the signals
     """
 
     def __init__(
-        self, rtk: RtkConfig, slips: CycleSlipConfig, fde: FdeConfig, risk: RiskConfig, system: NDArray[np.int64],
-        wavelength_m: Array, fixable: Bools, bands: int,
-    ) -> None:  # fmt: skip
+        self, rtk: RtkConfig, slips: CycleSlipConfig, fde: FdeConfig, risk: RiskConfig, entries: Entries
+    ) -> None:
         exact = risk.replace(variant=Variant.EXACT)
-        positioning = {"rtk": rtk.to_dict(), "slips": slips.to_dict()}
-        config = RtkReckoningConfig(positioning=positioning, fde=fde, risk=exact, gnss={"bands": tuple(range(bands))})
+        most = min(rtk.max_candidates, max(len(entries.clock), FEWEST))
+        positioning = {"rtk": rtk.to_dict() | {"max_candidates": FEWEST}, "slips": slips.to_dict()}
+        config = RtkReckoningConfig(positioning=positioning, fde=fde, risk=exact, gnss={"bands": (0,)})
         parameters = epoch_parameters(config)
+        parameters["rtk"]["max_candidates"] = most
+        system = entries.clock
         parameters["modes"]["rtk_max_hdop"] = math.inf  # compute levels of every fixed position
         tables = Tables(
-            satellite_table(system, wavelength_m, fixable, exact), system, mode_priors(system, exact),
+            _satellites(entries, exact), system, mode_priors(system, exact),
             case_table(config.cases, exact, 0.0), *separation_thresholds(config, len(system)),
         )  # fmt: skip
         n = len(system)
-        state, work, out = blank_state(1, n, tables.prior.size, 1, rtk), blank_work(1, n, 1), blank_outputs(1, n, 1)
+        state = blank_state(1, n, tables.prior.size, 1, rtk.replace(max_candidates=most))
+        work, out = blank_work(1, n, 1), blank_outputs(1, n, 1)
         measured = Measured(
             np.zeros((1, n, 3)), np.zeros(1, np.int64), np.zeros((1, n), np.bool_), np.zeros((1, n)),
             np.zeros((1, n, 2)), np.zeros((1, n, 2)), np.zeros((1, n)), np.zeros((1, n), np.bool_), np.zeros(1),
@@ -110,8 +131,8 @@ class RtkStages:
         lasting.work.quality[0] = signals.quality
         m = self._inputs.measured
         for target, value in (
-            (m.los, signals.los), (m.tracked, signals.tracked), (m.cn0, signals.cn0), (m.code, signals.code),
-            (m.phase, signals.phase), (m.lock_lost, signals.lost),
+            (m.los, signals.los), (m.tracked, signals.tracked), (m.cn0, signals.cn0), (m.code[..., 0], signals.code),
+            (m.phase[..., 0], signals.phase), (m.lock_lost, signals.lost),
         ):  # fmt: skip
             target[0] = value
         m.age[0] = age_s
@@ -120,3 +141,13 @@ class RtkStages:
         w["sin_h"], w["cos_h"] = sin_h, cos_h
         self._stages(0, 1, self._lasting, self._inputs)
         return w["fixed"][0], lasting.work.fixed_levels[0, 0]
+
+
+def _satellites(entries: Entries, risk: RiskConfig) -> Records:
+    """SATELLITE (N,) of the signals."""
+    hosts = entries.clock[entries.host]
+    out = satellite_table(hosts, np.ones((int(hosts.max(initial=0)) + 1, 1)), entries.fixable, risk)
+    out["system"], out["wavelength"][:, 0] = entries.clock, entries.wavelength_m
+    out["further"], out["host"] = entries.host != np.arange(len(hosts)), entries.host
+    out["first"] = entries.wavelength_m[entries.host]
+    return out

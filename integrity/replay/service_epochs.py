@@ -173,7 +173,7 @@ def epochs_of_receiver(
     return ServiceEpochs(
         time_s=time - time[0], system=np.ascontiguousarray(own.satellites[:, 0]), prn=own.satellites[:, 1],
         los_enu=los, tracked=own.tracked, cn0_dbhz=np.ascontiguousarray(own.arc.cn0_dbhz[..., 0]), code_m=code,
-        phase_m=phase, lost=own.arc.lost, odometry=None,
+        phase_m=phase, lost=np.ascontiguousarray(own.arc.lost[..., 0]), odometry=None,
         station=None if station is None else _corrections(rover, own, _Receiver(station[0], table, ionosphere),
                                                           station),
         rough_en_m=None, truth_enu_m=true, known=known, reference=reference, origin_ecef_m=origin,
@@ -192,7 +192,7 @@ def _corrections(
     for k in range(len(wrong)):
         _, of_code, of_phase = base.models(k, place)
         left = base.arc.code_m[k, :, 0] - of_code, base.arc.phase_m[k, :, 0] - of_phase
-        wrong[k] = _smoothed(left, base.tracked[k], base.locked[k] & ~base.arc.lost[k], spacing_s, hatch)
+        wrong[k] = _smoothed(left, base.tracked[k], base.locked[k] & ~base.arc.lost[k, :, 0], spacing_s, hatch)
     epochs, partners, age = matched(rover, observations, OLDEST_S)
     shape = own.tracked.shape
     out = StationCorrections(np.zeros(shape), np.zeros(shape, np.bool_), np.full(shape[0], np.inf))
@@ -223,7 +223,7 @@ class _Receiver:
         self.arc: Arc = arc_of(observations, codes, Choice(codes, codes, wavelength, 1), table)
         self.satellites, self.tow_s, self.ionosphere = table.satellites, observations.tow_s, ionosphere
         self.tracked = self.arc.known & (self.arc.code_m[..., 0] != 0.0)
-        self.locked = (self.arc.phase_m[..., 0] != 0.0) & ~self.arc.half
+        self.locked = (self.arc.phase_m[..., 0] != 0.0) & ~self.arc.half[..., 0]
         time = observations.week * 604_800.0 + observations.tow_s
         self.delay_m = SPEED_OF_LIGHT_MPS * positions(table, time).group_delay_s[..., 0]
         self.dispersion = (CARRIER_HZ[System.GPS, 0] / CARRIER_HZ[self.satellites[:, 0], 0]) ** 2

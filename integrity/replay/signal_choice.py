@@ -2,26 +2,32 @@
 
 Rover and base can track a band with different codes (for example L2W and L2L). Constant differences between codes are
 absorbed by the clock, which single differences estimate for each system, band and observable. Therefore a band (the
-digit of the code) is selected for both receivers, and a code of this band for each receiver. All satellites of a system
-use the same codes: with different ones the constant differences would not be common to the clock.
+digit of the code) is selected for both receivers, and a code of this band for each receiver.
+
+Two bands of each system are selected first. Further signals follow, each with a clock of its own, as long as clocks are
+left: a third band, and a second code of the second band, for satellites that lack the first (L2W for those without
+L2C): with the same clock the constant difference of the codes would be taken for a range.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 
-__all__ = ["BAND_MHZ", "LETTERS", "USUAL_CN0_DBHZ", "Choice", "choose_signals"]
+__all__ = ["BAND_MHZ", "COLUMNS", "LETTERS", "USUAL_CN0_DBHZ", "Choice", "choose_signals", "comparable_cn0"]
 
+Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Strengths = dict[str, dict[str, NDArray[np.float64]]]
+Strengths = dict[str, dict[str, Array]]
+Pair = tuple[str, str]
 
 LETTERS = {"G": System.GPS, "E": System.GALILEO, "C": System.BEIDOU, "J": System.QZSS}
 # RINEX 3.04 tables 4 to 10; without GLONASS, whose differences are not integers because its channels differ
@@ -36,25 +42,33 @@ USUAL_CN0_DBHZ = 45.0  # for receivers that do not record the C/N0
 WEAK = 1e-6  # weight of a signal below the lowest C/N0: better than none
 MARGIN_S = 1.0  # of the overlap in time
 PRNS = 256
+COLUMNS = 4  # signals of a system at most
+FEWEST = 2  # satellites with a further signal: one alone differs from no other
+LITTLE = 0.1  # strength of a satellite below which it lacks a signal
+SEMI_CODELESS_DB = 10.0
+"""By how much the C/N0 of L2W may be lower with the same noise, because L1 guides its loop, which may be narrower. On
+the static pair double differences of its phases at 27 to 36 dB-Hz are as precise as those of L1 at 41 to 46 dB-Hz."""
 B1C_SINCE = 3.04  # version of the first table with B1C; the reader has moved B1I to band 2
 
 
 @dataclass(frozen=True)
 class Choice:
-    """By system letter: codes of rover and base without their first letter, one for each band; wavelengths (systems, 2)
-    [m] in the order of :class:`~lanebound.integrity.sky.systems.System`; number of bands, 1 or 2."""
+    """By system letter: codes of rover and base without their first letter, one for each signal; wavelengths (systems,
+    COLUMNS) [m] in the order of :class:`~lanebound.integrity.sky.systems.System`, 1 for none; number of bands of the
+    system that has most; clock (systems, COLUMNS) of each signal, that of the first one being the system's number."""
 
     rover: dict[str, tuple[str, ...]]
     base: dict[str, tuple[str, ...]]
     wavelength_m: NDArray[np.float64]
     bands: int
+    clock: NDArray[np.int64] = field(default_factory=lambda: np.zeros((len(System), COLUMNS), np.int64))
 
 
 def choose_signals(
     rover: Observations, base: Observations, bands: int | None = None, *, cn0_min_dbhz: float = 0.0,
     cn0_knee_dbhz: float = 35.0,
 ) -> Choice:  # fmt: skip
-    """Select the bands and codes with the strongest signals: two bands if a system has two on both receivers, else one.
+    """Select the bands and codes with the strongest signals: of each system at most ``bands``, by default up to three.
 
     A satellite counts with the weakest of its signals: the share of epochs in which it has code, phase and at least
     ``cn0_min_dbhz``, each weighted by ``1 / (1 + 10^((knee - C/N0) / 10))``, the inverse of its variance in RTK. A weak
@@ -66,34 +80,85 @@ def choose_signals(
     InputError
         The receivers share no band of GPS, Galileo, BeiDou or QZSS.
     """
-    wanted, limits, overlap = (
-        (2, 1) if bands is None else (bands,),
-        (cn0_min_dbhz, cn0_knee_dbhz),
-        _overlap(rover, base),
-    )
-    strengths = {
-        letter: (
-            _strengths(letter, rover, overlap[0], limits),
-            _strengths(letter, base, overlap[1], limits),
+    limits, within = (cn0_min_dbhz, cn0_knee_dbhz), _overlap(rover, base)
+    chosen = {}
+    for letter in LETTERS:
+        ours, theirs = (
+            _strengths(letter, of, there, limits, False) for of, there in zip((rover, base), within, strict=True)
         )
-        for letter in LETTERS
-    }
-    for count in wanted:
-        found = {letter: _best(letter, *strengths[letter], count) for letter in LETTERS}
-        chosen = {letter: best for letter, best in found.items() if best is not None}
-        if chosen:
-            wavelength = np.ones((len(System), 2))
-            for letter, pairs in chosen.items():
-                for band, (code, _) in enumerate(pairs):
-                    wavelength[LETTERS[letter], band] = SPEED_OF_LIGHT_MPS / (1e6 * BAND_MHZ[letter][code[0]])
-            return Choice(
-                {letter: tuple(r for r, _ in pairs) for letter, pairs in chosen.items()},
-                {letter: tuple(b for _, b in pairs) for letter, pairs in chosen.items()}, wavelength, count,
-            )  # fmt: skip
-    raise InputError(
-        f"rover and base must share a band of {', '.join(LETTERS)} with code and phase, rover has "
-        f"{_codes_of(rover)}, base {_codes_of(base)}: record both observables"
-    )
+        found = _best(letter, ours, theirs, 2) if bands != 1 else None
+        found = found or _best(letter, ours, theirs, 1)
+        if found:
+            chosen[letter] = found
+    if not chosen:
+        raise InputError(
+            f"rover and base must share a band of {', '.join(LETTERS)} with code and phase, rover has "
+            f"{_codes_of(rover)}, base {_codes_of(base)}: record both observables"
+        )
+    if bands != 1:
+        sides = {
+            letter: (
+                _strengths(letter, rover, within[0], limits, True),
+                _strengths(letter, base, within[1], limits, True),
+            )
+            for letter in chosen
+        }
+        _add_further(chosen, sides, bands)
+    return _choice(chosen)
+
+
+def _add_further(
+    chosen: dict[str, list[Pair]], sides: dict[str, tuple[Strengths, Strengths]], bands: int | None
+) -> None:
+    """Append further signals to those ``chosen``, the strongest first, while clocks are left."""
+    found = []
+    for letter, pairs in chosen.items():
+        taken = [pair[0][0] for pair in pairs]
+        for band in BAND_MHZ[letter]:
+            ours, theirs = (side.get(band, {}) for side in sides[letter])
+            if (band not in taken and bands == 2) or band == taken[0]:
+                continue
+            before = pairs[taken.index(band)] if band in taken else None
+            lacking = np.ones(PRNS) if before is None else _shared(ours, theirs, before) < LITTLE
+            gains = {pair: _shared(ours, theirs, pair) * lacking for pair in product(ours, theirs) if pair != before}
+            others = [
+                (float(gain.sum()), pair) for pair, gain in gains.items() if np.count_nonzero(gain >= LITTLE) >= FEWEST
+            ]
+            if others:
+                strength, best = max(others)
+                found.append((before is None, strength, letter, best))
+    clocks = sum(len(pairs) for pairs in chosen.values())
+    for _, _, letter, pair in sorted(found, key=lambda row: row[:2], reverse=True):
+        if clocks < MAX_GROUPS and len(chosen[letter]) < COLUMNS:
+            chosen[letter].append(pair)
+            clocks += 1
+
+
+def _shared(ours: dict[str, Array], theirs: dict[str, Array], pair: Pair) -> Array:
+    """Strength of each PRN (PRNS,) in two codes of a band."""
+    return np.asarray(np.minimum(ours[pair[0]], theirs[pair[1]]))
+
+
+def _choice(chosen: dict[str, list[Pair]]) -> Choice:
+    """The choice of these pairs of codes, with a clock for each."""
+    wavelength = np.ones((len(System), COLUMNS))
+    clock = np.zeros((len(System), COLUMNS), np.int64)
+    free = [k for k in range(MAX_GROUPS) if k not in {int(LETTERS[letter]) for letter in chosen}]
+    for letter, pairs in chosen.items():
+        system = LETTERS[letter]
+        for column, (code, _) in enumerate(pairs):
+            wavelength[system, column] = SPEED_OF_LIGHT_MPS / (1e6 * BAND_MHZ[letter][code[0]])
+            clock[system, column] = free.pop(0) if column else system
+    return Choice(
+        {letter: tuple(ours for ours, _ in pairs) for letter, pairs in chosen.items()},
+        {letter: tuple(theirs for _, theirs in pairs) for letter, pairs in chosen.items()}, wavelength,
+        max(len({ours[0] for ours, _ in pairs}) for pairs in chosen.values()), clock,
+    )  # fmt: skip
+
+
+def comparable_cn0(name: str, cn0_dbhz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """C/N0 of a civil signal of the same noise, from that of the signal ``name`` (a code without its first letter)."""
+    return cn0_dbhz + SEMI_CODELESS_DB if name[1:] == "W" else cn0_dbhz
 
 
 def _codes_of(observations: Observations) -> str:
@@ -111,7 +176,7 @@ def _overlap(rover: Observations, base: Observations) -> tuple[Bools, Bools]:
     return within[0], within[1]
 
 
-def _best(letter: str, rover: Strengths, base: Strengths, count: int) -> list[tuple[str, str]] | None:
+def _best(letter: str, rover: Strengths, base: Strengths, count: int) -> list[Pair] | None:
     """Pairs (code of rover, code of base) of the ``count`` bands with the strongest satellites, or None."""
     shared = [band for band in BAND_MHZ[letter] if band in rover and band in base]
     best, most = None, 0.0
@@ -126,8 +191,11 @@ def _best(letter: str, rover: Strengths, base: Strengths, count: int) -> list[tu
     return best
 
 
-def _strengths(letter: str, observations: Observations, within: Bools, limits: tuple[float, float]) -> Strengths:
-    """By band and code, the weighted share of epochs of each PRN (PRNS,) that has code and phase."""
+def _strengths(
+    letter: str, observations: Observations, within: Bools, limits: tuple[float, float], comparable: bool
+) -> Strengths:
+    """By band and code, the weighted share of epochs of each PRN (PRNS,) that has code and phase; ``comparable``: a
+    semi-codeless signal counts by its noise, otherwise by its C/N0, with which it is easily lost."""
     if letter not in observations.rows:
         return {}
     (least, knee), rows, version = limits, observations.rows[letter], observations.header.version
@@ -141,7 +209,7 @@ def _strengths(letter: str, observations: Observations, within: Bools, limits: t
         whole = (rows.column(f"C{name}") != 0.0) & (rows.column(code) != 0.0) & within[rows.epoch]
         if whole.any():
             cn0 = rows.column(f"S{name}")
-            cn0 = np.where(cn0 > 0.0, cn0, USUAL_CN0_DBHZ)
+            cn0 = np.where(cn0 > 0.0, comparable_cn0(name, cn0) if comparable else cn0, USUAL_CN0_DBHZ)
             weight = np.where(cn0 >= least, 1.0 / (1.0 + 10.0 ** (0.1 * (knee - cn0))), WEAK)
             total = np.bincount(rows.satellite, np.where(whole, weight, 0.0), PRNS)
             found.setdefault(name[0], {})[name] = total / np.count_nonzero(within)

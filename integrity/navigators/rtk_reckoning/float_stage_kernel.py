@@ -24,9 +24,10 @@ from lanebound.integrity.positioning.float_filter_kernel import (
     drop_slot,
     fade,
     filter_of,
+    follows,
 )
 from lanebound.integrity.positioning.rows_kernel import Rows
-from lanebound.integrity.positioning.rtk_kernel import Carriers, order_by_variance
+from lanebound.integrity.positioning.rtk_kernel import Carriers, order_by_variance, owner_of
 
 __all__ = ["add_to_filter"]
 
@@ -59,7 +60,7 @@ def add_to_filter(first: int, last: int, epoch: Epoch) -> None:
         carriers = Carriers(los, satellites, measured.phase[v], np.empty(n))
         rows, tests = Rows(los, system, np.empty(n), np.empty(n), work.used[v].copy()), (thresholds, par, vehicle)
         position, q = np.empty(3), np.empty((3, 3))
-        drop_broken(own, row.since_s > LONGEST_GAP_S, rules)
+        drop_broken(own, satellites, row.since_s > LONGEST_GAP_S, rules)
         if not find_code_position(rows, code, factor, tests, position, q):
             continue
         variance_code, aged = np.empty(n), (rules.age_sigma * age) ** 2
@@ -68,7 +69,7 @@ def add_to_filter(first: int, last: int, epoch: Epoch) -> None:
             variance_code[s] = factor[s] * rules.sigma_code**2 + aged
         coded = rows.used.copy()
         find_slips(own.slots, carriers, factor, usable, rows, row, age, tests)
-        drop_broken(own, False, rules)
+        drop_broken(own, satellites, False, rules)
         most = own.slots.shape[0]
         order = np.empty(most, dtype=np.int64)
         count = order_by_variance(usable, carriers.variance, most, order)
@@ -97,10 +98,16 @@ def note_breaks(slots: Records, ambiguities: Records, phase_ok: Bools, lost: Boo
 
 
 @jit
-def drop_broken(own: FilterRow, everything: bool, rules: Any) -> None:
-    """Take marked satellites, or all, out of the filter."""
-    for k in range(own.slots.shape[0]):
-        if own.slots[k].followed and (own.slots[k].broken or everything):
+def drop_broken(own: FilterRow, satellites: Records, everything: bool, rules: Any) -> None:
+    """Take marked satellites, or all, out of the filter: before them their further signals."""
+    slots = own.slots
+    for k in range(slots.shape[0]):
+        if slots[k].followed and satellites[slots[k].satellite].further:
+            host = follows(slots, owner_of(satellites, slots[k].satellite))
+            if slots[k].broken or everything or host < 0 or slots[host].broken:
+                drop_slot(own, k, rules)
+    for k in range(slots.shape[0]):
+        if slots[k].followed and (slots[k].broken or everything):
             drop_slot(own, k, rules)
 
 

@@ -85,7 +85,7 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
 def find_members(ambiguities: Records, used: Bools, satellites: Records, rules: Any, member: Bools) -> tuple[int, bool]:
     """The held carriers in use, without systems of too few: their number, and whether they make a position."""
     for s in range(used.shape[0]):
-        member[s] = ambiguities[s].held and used[s]
+        member[s] = ambiguities[s].held and used[s] and not satellites[s].further
     count, systems = drop_small_systems(member, satellites, rules.min_further)
     return count, systems > 0 and count >= rules.min_satellites + rules.min_further * (systems - 1)
 

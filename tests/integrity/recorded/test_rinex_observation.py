@@ -139,9 +139,9 @@ def test_a_cut_file_gives_whole_epochs(tmp_path: Path) -> None:
         ("OBSERVATION DATA", "NAVIGATION DATA ", "must hold observations"),
         ("     GPS ", "     GLO ", "must be in GPS"),
         ("G    4", "G    5", "must list 5 codes, got 4"),
-        ("2024 06 24 08 20  0", "2024 13 24 08 20  0", "must lie in"),
-        ("20000000.000", "2000000x.000", "C1C of G05 must be a number"),
+        ("2024 06 24 08 20  0", "2024 13 24 08 20  0", r"the month of an epoch must lie in \[1, 12\], got '13'"),
         ("G05", "X05", "must be of a system"),
+        ("G05", "G#5", "the number of satellite 'G#5' must be a number"),
         ("RINEX VERSION / TYPE", "CRINEX VERS   / TYPE", "crx2rnx"),
     ],
 )
@@ -149,6 +149,37 @@ def test_damage_is_named(tmp_path: Path, old: str, new: str, message: str) -> No
     text = RINEX.replace(old, new, 1) + rinex_epoch(5.0, rinex_satellite("G05", 2e7))
     with pytest.raises(InputError, match=message):
         read_observations(written(tmp_path, text))
+
+
+def test_rows_of_systems_without_codes_are_counted(tmp_path: Path) -> None:
+    more = rinex_epoch(5.0, rinex_satellite("G05", 2e7), rinex_satellite("S27", 3.8e7), rinex_satellite("R01", 2e7))
+    found = read_observations(written(tmp_path, RINEX + more))
+    assert found.rows["G"].satellite.tolist() == [5, 7, 5, 5]
+    assert found.undeclared == {"S": 1, "R": 1}
+    assert found.note == "rows left out of systems without SYS / # / OBS TYPES: 1 of S, 1 of R"
+
+
+def test_a_value_that_is_no_number_is_missing_and_many_are_damage(tmp_path: Path) -> None:
+    whole = read_observations(written(tmp_path, RINEX)).rows["G"]
+    found = read_observations(written(tmp_path, RINEX.replace("20000000.000", "2000000x.000", 1)))
+    assert found.garbled == 1
+    assert found.note == "1 values left out that are no numbers"
+    value = whole.value.copy()
+    value[0, 0] = 0.0
+    np.testing.assert_array_equal(found.rows["G"].value, value)
+    bad = "".join(
+        rinex_epoch(2.0 + k, rinex_satellite("G05", 2e7)).replace("20000000.000", "2000000x.000") for k in range(25)
+    )
+    with pytest.raises(InputError, match=r"C1C of G05 must be a number.*after 20 other values"):
+        read_observations(written(tmp_path, RINEX + bad))
+
+
+def test_an_epoch_with_fewer_records_than_its_head_counts_is_named(tmp_path: Path) -> None:
+    short = rinex_epoch(2.0, rinex_satellite("G05", 2e7), rinex_satellite("G07", 2e7)).splitlines(keepends=True)
+    with pytest.raises(InputError, match="as many records as its head counts, 1 are missing"):
+        read_observations(
+            written(tmp_path, RINEX + "".join(short[:-1]) + rinex_epoch(3.0, rinex_satellite("G05", 2e7)))
+        )
 
 
 def test_epochs_that_are_not_later_are_left_out_and_counted(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from baselines import AXES, PLACE, observation_text, receiver, sky
+from baselines import AXES, PLACE, navigation_text, observation_text, receiver, sky
 from recordings import real
 from rtklib_solution import read_solution
 from typer.testing import CliRunner
@@ -22,6 +22,7 @@ from lanebound.integrity.recorded.rinex_observation import Observations, SystemR
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, solve_baseline
 from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline, summarise
 from lanebound.integrity.replay.datasets import kind_of, replay_folder
+from lanebound.integrity.sky.rinex_navigation import parse_navigation
 
 TABLE = sky()
 
@@ -82,6 +83,21 @@ def test_a_gap_of_the_base_ages_and_then_ends_the_corrections() -> None:
         solve_baseline(replace(rover, tow_s=rover.tow_s + 100.0), base_at(time), TABLE, PLACE)
     with pytest.raises(InputError, match="must overlap in time"):
         solve_baseline(rover, replace(base_at(time), week=base_at(time).week + 1), TABLE, PLACE)
+
+
+def test_epochs_without_a_base_are_counted() -> None:
+    """A base that ends after 3 s, for a rover of 40 s: corrections are used for 30 s, and then missing."""
+    time = np.arange(-2.0, 38.0)
+    rover = receiver(TABLE, time, np.tile(PLACE + AXES @ [5.0, 2.0, 0.0], (40, 1)), clock_s=1e-4, seed=1)
+    solved = solve_baseline(rover, base_at(np.arange(0.0, 3.0)), TABLE, PLACE)
+    none = solved.status == RtkStatus.NO_CORRECTIONS.code
+    assert none.tolist() == [True] * 2 + [False] * 33 + [True] * 5
+    assert (solved.mode[none] == Mode.NONE).all()
+    assert np.isinf(solved.age_s[none]).all()
+    found = summarise(solved)
+    assert (found["epochs"], found["status"]["no_corrections"]) == (40, 7)
+    assert found["fixed_share"] == found["fixed"] / 40
+    assert found["first_fix_s"] == 2.0
 
 
 DELTA_ENU_M = (0.3, 0.2, 1.5)
@@ -213,14 +229,30 @@ def test_a_base_far_from_its_codes_is_noticed(tmp_path: Path) -> None:
     for name in ("rover", "base"):
         options += [f"--{name}", str(folder / f"{name}.obs")]
     place = read_coordinates(str(folder / "base_position.txt"))
-    near, far = (
+    near, off, far = (
         CliRunner().invoke(
             app, [*options, "--base-position", ",".join(str(v) for v in place + np.array([0.0, 0.0, off]))]
         )
-        for off in (0.0, 5000.0)
+        for off in (0.0, 50.0, 5000.0)
     )
     assert "its own codes" not in near.output
-    assert "note: the base is 5.0 km from where its own codes put it" in far.stderr
+    assert "from --base-position: an error of it is an error of every position, and in no level" in near.output
+    assert "base_from_codes_m" in near.output
+    assert "m from where its own codes put it, which are good to about 10 m" in off.stderr
+    assert far.exit_code == 2
+    assert "from --base-position, must be that of its antenna, its own codes put it 5.0 km away" in far.stderr
+
+
+def test_a_base_that_moves_is_refused(tmp_path: Path) -> None:
+    time = np.arange(0.0, 8.0)
+    table = parse_navigation(navigation_text(replace(TABLE, prn=np.arange(len(TABLE.prn)) % 90 + 1)))
+    (tmp_path / "base.nav").write_text(navigation_text(table))
+    for name, speed_mps, seed in (("car", 20.0, 1), ("pillar", 0.0, 2)):
+        place = PLACE + (time[:, None] * [0.0, speed_mps, 0.0]) @ AXES.T
+        text = observation_text(receiver(table, time, place, clock_s=1e-4, seed=seed))
+        (tmp_path / f"{name}.obs").write_text(text)
+    with pytest.raises(InputError, match="its codes say that it moves: check that --rover and --base are not swapped"):
+        run_baseline(tmp_path / "pillar.obs", tmp_path / "car.obs", [tmp_path / "base.nav"], tmp_path / "out")
 
 
 def test_reasons_of_epochs_without_a_fix_and_half_cycles_are_printed(tmp_path: Path) -> None:
@@ -272,8 +304,9 @@ def test_run_needs_no_truth(tmp_path: Path) -> None:
     found, _ = run_baseline(folder / "rover.obs", folder / "base.obs", [folder / "base.nav"], tmp_path)
     assert "errors" not in found
     assert found["fixed"] == 31
-    assert found["base_from_codes_m"] < 100.0
+    assert found["base_from_codes_m"] < 15.0
+    assert found["base_antenna_from"] == "the header of its file"
     assert found["half_cycle_share"] == {"rover": 0.0, "base": 0.0}
     far = PLACE + 5000.0 * PLACE / np.linalg.norm(PLACE)
-    lost, _ = run_baseline(folder / "rover.obs", folder / "base.obs", [folder / "base.nav"], tmp_path, base_ecef_m=far)
-    assert lost["base_from_codes_m"] > 4000.0
+    with pytest.raises(InputError, match="its own codes put it"):
+        run_baseline(folder / "rover.obs", folder / "base.obs", [folder / "base.nav"], tmp_path, base_ecef_m=far)

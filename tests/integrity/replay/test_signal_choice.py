@@ -9,7 +9,10 @@ import pytest
 from baselines import PLACE, receiver, sky
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.recorded.rinex_observation import Observations
+from lanebound.integrity.replay.differences import arc_of
+from lanebound.integrity.replay.pair_signals import entries_of
 from lanebound.integrity.replay.signal_choice import choose_signals
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 
@@ -41,6 +44,7 @@ def test_one_band_where_there_is_no_second(one: Observations) -> None:
     single = renamed(one, {"G": ("C1C", "L1C", "S1C", "C5X", "D5X", "S5X")})
     choice = choose_signals(single, one)
     assert (choice.bands, choice.rover) == (1, {"G": ("1C",)})
+    assert choose_signals(one, one, 1).rover == {"G": ("1C",), "E": ("1C",)}
 
 
 def test_nothing_in_common_is_told(one: Observations) -> None:
@@ -61,7 +65,7 @@ def test_b1i_and_b1c_of_beidou_have_frequencies_of_their_own(one: Observations) 
     choice = choose_signals(new, new)
     assert choice.rover == {"C": ("2I", "1P")}
     np.testing.assert_allclose(
-        choice.wavelength_m[System.BEIDOU], SPEED_OF_LIGHT_MPS / np.array([1561.098e6, 1575.42e6]), rtol=1e-12
+        choice.wavelength_m[System.BEIDOU, :2], SPEED_OF_LIGHT_MPS / np.array([1561.098e6, 1575.42e6]), rtol=1e-12
     )
 
 
@@ -115,4 +119,42 @@ def test_two_near_bands_are_worth_less_than_two_far_ones(one: Observations) -> N
     codes = ("C1C", "L1C", "S1C", "C5Q", "L5Q", "S5Q", "C7Q", "L7Q", "S7Q")
     none = np.zeros(value.shape, np.bool_)
     found = replace(one, rows={"E": replace(rows, codes=codes, value=value, lost=none, half=none)})
-    assert choose_signals(found, found).rover == {"E": ("1C", "5Q")}
+    assert choose_signals(found, found, 2).rover == {"E": ("1C", "5Q")}
+    choice = choose_signals(found, found)  # the third band comes after them, with a clock of its own
+    assert (choice.rover, choice.bands) == ({"E": ("1C", "5Q", "7Q")}, 3)
+    assert len(set(choice.clock[System.GALILEO, :3].tolist())) == 3
+
+
+def test_satellites_without_the_civil_code_have_the_other_one_with_its_own_clock(one: Observations) -> None:
+    prns = np.unique(one.rows["G"].satellite).tolist()
+    found = with_second(one, {"2W": 34.0, "2L": 45.0}, {"2W": prns, "2L": prns[2:]})
+    choice = choose_signals(found, found, cn0_min_dbhz=30.0)
+    assert choice.rover == {"G": ("1C", "2L", "2W")}
+    assert (choice.bands, len(set(choice.clock[System.GPS, :3].tolist()))) == (2, 3)
+    assert choice.wavelength_m[System.GPS, 1] == choice.wavelength_m[System.GPS, 2]
+    table = sky()
+    arcs = [arc_of(found, choice.rover, choice, table) for _ in range(2)]
+    entries = entries_of(choice, *arcs, table.satellites, 30.0)
+    second = {int(table.satellites[s, 1]): int(c) for s, c in zip(entries.satellite, entries.column, strict=True) if c}
+    assert second == {prn: 2 if prn in prns[:2] else 1 for prn in prns}
+    assert (entries.column[entries.host] == 0).all()
+    assert (entries.satellite[entries.host] == entries.satellite).all()
+
+
+def test_no_more_clocks_are_used_than_there_are(one: Observations) -> None:
+    rows = one.rows["G"]
+    names = {"G": ("1C", "2L", "5Q"), "E": ("1C", "5Q", "7Q"), "C": ("2I", "7I", "6I"), "J": ("1C", "2L", "5Q")}
+    value = np.concatenate([rows.value[:, :3]] * 3, axis=1)
+    none = np.zeros(value.shape, np.bool_)
+    full = {
+        letter: replace(rows, codes=tuple(f"{k}{n}" for n in codes for k in "CLS"), value=value, lost=none, half=none)
+        for letter, codes in names.items()
+    }
+    choice = choose_signals(replace(one, rows=full), replace(one, rows=full))
+    assert sum(len(codes) for codes in choice.rover.values()) == MAX_GROUPS
+    used = [
+        choice.clock[System(s), c]
+        for s, n in ((0, "G"), (1, "E"), (3, "C"), (4, "J"))
+        for c in range(len(choice.rover[n]))
+    ]
+    assert len(set(used)) == len(used)

@@ -1,0 +1,128 @@
+"""Positions of a recorded receiver from its own codes: where a base stands, and which of two receivers moves."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.positioning.code_solution import gauss_newton
+from lanebound.integrity.recorded.rinex_observation import Observations
+from lanebound.integrity.replay.differences import Arc, arc_of, troposphere_m
+from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.replay.signal_choice import Choice
+from lanebound.integrity.sky.broadcast import Ephemerides
+from lanebound.integrity.sky.klobuchar import Klobuchar
+from lanebound.integrity.sky.systems import WAVELENGTH_M, System
+
+__all__ = ["MOVES_M", "NEAR_M", "WRONG_M", "CodePlaces", "require_base"]
+
+Array = NDArray[np.float64]
+
+MOVES_M = 15.0  # spread of code positions, 90 % of them, of a receiver that moves; noise is a few metres
+NEAR_M = 30.0  # of a base from its codes; further is doubtful: codes with models of the air are good to about 10 m
+WRONG_M = 100.0  # what codes cannot be wrong by
+SAMPLES = 40  # epochs of which positions are computed
+FEWEST = 6  # satellites
+LOWEST_RAD = np.deg2rad(10.0)
+
+
+class CodePlaces:
+    """Positions of one receiver at some epochs, (n, 3) [m]: of the first signal of each system, with the models of
+    Saastamoinen and, where the navigation has its figures, Klobuchar."""
+
+    def __init__(
+        self, observations: Observations, codes: dict[str, tuple[str, ...]], choice: Choice, table: Ephemerides,
+        ionosphere: Klobuchar | None = None,
+    ) -> None:  # fmt: skip
+        arc = arc_of(observations, codes, choice, table)
+        wavelength = choice.wavelength_m[table.satellites[:, 0], 0]
+        self._dispersion = (wavelength / WAVELENGTH_M[System.GPS, 0]) ** 2
+        self._system, self._ionosphere = table.satellites[:, 0], ionosphere
+        epochs = np.unique(np.linspace(0, observations.epochs - 1, SAMPLES).astype(int))
+        found = [self._place(arc, int(k), float(observations.tow_s[k])) for k in epochs]
+        self.places_m = np.array([place for place in found if place is not None]).reshape(-1, 3)
+
+    @property
+    def moves(self) -> bool:
+        """Whether more than a tenth of the positions lie further than MOVES_M from their median."""
+        if not len(self.places_m):
+            return False
+        away = np.linalg.norm(self.places_m - np.median(self.places_m, axis=0), axis=1)
+        return bool(np.quantile(away, 0.9) > MOVES_M)
+
+    def distance_m(self, place_m: Array) -> float | None:
+        """Distance of a place (3,) from the median of the positions [m]; None without positions."""
+        return float(np.linalg.norm(np.median(self.places_m, axis=0) - place_m)) if len(self.places_m) else None
+
+    def _place(self, arc: Arc, k: int, tow_s: float) -> Array | None:
+        """Position (3,) from the codes of epoch k, by least squares; None from too few."""
+        rows = np.flatnonzero(arc.known[k] & (arc.code_m[k, :, 0] != 0.0))
+        delay, place = np.zeros(rows.size), np.zeros(3)
+        for _ in range(2):  # the models of the air need a position
+            present, group = np.unique(self._system[rows], return_inverse=True)
+            if rows.size < max(FEWEST, 4 + present.size):
+                return None
+            solved = _least_squares(arc, k, rows, delay, place, group)
+            if solved is None:
+                return None
+            place = solved
+            low, delay = self._delays(arc, k, rows, place, tow_s)
+            rows, delay = rows[~low], delay[~low]
+        return place
+
+    def _delays(
+        self, arc: Arc, k: int, rows: NDArray[np.int64], place: Array, tow_s: float
+    ) -> tuple[NDArray[np.bool_], Array]:
+        """Which satellites are too low, and the delays (n,) in the air at a place [m]."""
+        latitude, longitude, _ = geodetic_from_ecef(place)
+        _, sight = ranges_and_sights(arc.satellite_ecef_m[k, rows], place)
+        e = sight @ ecef_from_enu_matrix(latitude, longitude)
+        elevation = np.arcsin(np.clip(e[:, 2], -1.0, 1.0))
+        delay = troposphere_m(place, elevation)
+        if self._ionosphere is not None:
+            delay = delay + self._dispersion[rows] * self._ionosphere.delay_m(
+                float(latitude), float(longitude), np.arctan2(e[:, 0], e[:, 1]), np.maximum(elevation, 0.0), tow_s
+            )
+        return elevation < LOWEST_RAD, delay
+
+
+def _least_squares(
+    arc: Arc, k: int, rows: NDArray[np.int64], delay: Array, start: Array, group: NDArray[np.int64]
+) -> Array | None:
+    """Position (3,) of these satellites, with a clock for each group; None where it is not solvable."""
+    observed = arc.code_m[k, rows, 0] + arc.clock_m[k, rows] - delay
+
+    def about(place: Array) -> tuple[Array, Array]:
+        distance, sight = ranges_and_sights(arc.satellite_ecef_m[k, rows], place)
+        return observed - distance, sight
+
+    found, fit = gauss_newton(about, start[None], 1.0, np.ones((1, rows.size), bool), group)
+    return found[0] if fit.solved[0] else None
+
+
+def require_base(own: CodePlaces, place_m: Array, source: str) -> float | None:
+    """Distance of the base from its own codes [m], None without positions from them.
+
+    Raises
+    ------
+    InputError
+        The base moves, or its position ``place_m`` (3,), which is from ``source``, cannot be right.
+    """
+    if own.moves:
+        raise InputError(
+            "the base must stand still, its codes say that it moves: check that --rover and --base are not swapped"
+        )
+    away = own.distance_m(place_m)
+    if away is not None and away > WRONG_M:
+        there = ",".join(f"{v:.1f}" for v in np.median(own.places_m, axis=0))
+        raise InputError(
+            f"the position of the base, from {source}, must be that of its antenna, its own codes put it "
+            f"{_length(away)} away, near {there}: every position would be wrong by as much; give --base-position"
+        )
+    return away
+
+
+def _length(metres: float) -> str:
+    return f"{metres / 1000.0:.1f} km" if metres >= 1000.0 else f"{metres:.0f} m"
