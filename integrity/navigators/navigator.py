@@ -43,6 +43,7 @@ from lanebound.integrity.sensors.compass import CompassConfig, initial_compass, 
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.faults import FaultSchedule
+from lanebound.integrity.sensors.finite import with_finite
 from lanebound.integrity.sensors.gnss import GnssConfig
 from lanebound.integrity.sensors.imu import ImuConfig, initial_imu
 from lanebound.integrity.sensors.instruments import Instruments, InstrumentState, Measurements
@@ -283,7 +284,11 @@ class Navigator:
         raise NotImplementedError
 
     def locate(self, m: Measurements) -> Solution:
-        """The belief after the measurements of one epoch; reads nothing else."""
+        """The belief after the measurements of one epoch; reads nothing else.
+
+        The kinds of this package take satellites out of use whose values are not finite, and refuse other sensors whose
+        values are not (:func:`~lanebound.integrity.sensors.finite.with_finite`).
+        """
         raise NotImplementedError
 
     # What all kinds have
@@ -426,7 +431,7 @@ class Navigator:
             return solution
         if self._guard is None or self.state.guard is None:
             raise InputError("context needs a road map, got none: give one by use_map, or leave navigator.context out")
-        return self._guard.judge(self.state.guard, m, solution)
+        return self._guard.judge(self.state.guard, with_finite(m), solution)
 
     def measure(self, truth: Truth, sky: SkyView | None = None) -> Measurements:
         """The measurements of this epoch; nothing else reads the truth.
