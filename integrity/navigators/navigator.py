@@ -68,6 +68,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
+TOLD_SIGMA_M = 0.05  # of a drive that begins where the last one with RTK ended
 
 BUILT_IN = {
     "filter": "lanebound.integrity.navigators.vehicle_filter.navigator",
@@ -135,6 +136,11 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
                 "the levels count on the thresholds of false_alarm"
             )
         return self
+
+    @property
+    def told_sigma_m(self) -> float:
+        """1-sigma of a position that a vehicle is told at its start, where nothing else is set [m]; chosen."""
+        return TOLD_SIGMA_M
 
     @property
     def receiver(self) -> GnssConfig:

@@ -1,7 +1,7 @@
 """Measurements of the user's own that are not finite: signals are taken out of use, body sensors are refused.
 
-A NaN in one signal would otherwise reach position, clocks and covariance of its vehicle. A satellite with a code, phase,
-range rate, C/N0 or direction that is not finite counts as not tracked, as where ``tracked`` is False. Gyros,
+A NaN in one signal would otherwise reach position, clocks and covariance of its vehicle. A satellite with a code,
+phase, range rate, C/N0 or direction that is not finite counts as not tracked, as where ``tracked`` is False. Gyros,
 accelerometers and wheels have no mask: without them an epoch cannot be reckoned.
 """
 
@@ -22,8 +22,8 @@ __all__ = ["with_finite"]
 Array = NDArray[np.float64]
 SIGNALS = ("code_m", "phase_m", "range_rate_mps", "cn0_dbhz", "raw_code_m", "raw_phase_m")
 BODY = (
-    ("imu", "delta_theta_rad"), ("imu", "delta_v_mps"), ("odometer", "speed_mps"), ("odometer", "distance_m"), ("chassis", "steering_rad"),
-    ("chassis", "wheel_mps"), ("compass", "heading_rad"), ("barometer", "height_m"),
+    ("imu", "delta_theta_rad"), ("imu", "delta_v_mps"), ("odometer", "speed_mps"), ("odometer", "distance_m"),
+    ("chassis", "steering_rad"), ("chassis", "wheel_mps"), ("compass", "heading_rad"), ("barometer", "height_m"),
 )  # fmt: skip
 
 

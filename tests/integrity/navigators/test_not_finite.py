@@ -1,4 +1,4 @@
-"""Measurements that are not finite: no kind of navigator gives them a position or level that is not, nor a small level."""
+"""Measurements that are not finite: no kind of navigator gives a position or a level that is not."""
 
 from __future__ import annotations
 
@@ -76,7 +76,9 @@ def test_a_signal_that_is_not_finite_counts_as_not_tracked(
     def mask(m: Measurements, k: int) -> Measurements:
         if k < from_epoch or getattr(m.gnss, field) is None:
             return m
-        g = {name: np.copy(getattr(m.gnss, name)) for name in (*SIGNALS, "tracked") if getattr(m.gnss, name) is not None}
+        g = {
+            name: np.copy(getattr(m.gnss, name)) for name in (*SIGNALS, "tracked") if getattr(m.gnss, name) is not None
+        }
         for x in g.values():
             x[0, rows] = 0
         return replace(m, gnss=replace(m.gnss, **g))
