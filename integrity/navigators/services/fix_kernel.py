@@ -70,7 +70,7 @@ def check_ranges(
 def find_fix(
     first: int, last: int, epoch: Epoch, service: ServiceTables, inputs: ServiceInputs, ranges: ServiceRows
 ) -> None:
-    """Offer the position of tested ranges where :func:`takes` says so; one without a level where nothing moves another."""
+    """Offer the position of tested ranges where :func:`takes` says so; without a level where nothing moves another."""
     par, rules = service.parameters[0], service.rules[0]
     scratch = fixed_scratch(service.allowed.shape[0], par.rtk.doubt.sets)
     levels = np.empty((epoch.out.levels.shape[1], 2))
