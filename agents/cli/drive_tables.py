@@ -100,7 +100,8 @@ def _metres(value: float | None) -> str:
 def unused(outcomes: Sequence[Outcome], *rest: Any) -> list[str]:
     """A line for the first service of a navigator, the last of ``rest``, if no decision had a position of it."""
     named: Sequence[str] = rest[-1]
-    if not named or any(o.mode_shares.get(named[0], 0.0) > 0.0 for o in outcomes):
+    used = {mode for o in outcomes for mode, share in o.mode_shares.items() if share > 0.0}
+    if not named or named[0] in used or "rtk" in used:  # RTK comes first where it is
         return []
     return [
         f"note: no decision had a position of {named[0]}: dead reckoning from the known start, or another service, had "

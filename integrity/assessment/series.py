@@ -147,13 +147,12 @@ def _draw(
     """Draw the level as a line over the filled error, with gaps at epochs of other modes and where there are none."""
     at = np.flatnonzero(gaps_of(minutes)[0])
     dots = {"marker": ".", "markersize": 2.2} if keep.mean() < SPARSE or at.size else {}
-    minutes = np.insert(minutes, at, minutes[at])
-    error, pl, keep = (np.insert(x, at, fill) for x, fill in ((error, np.nan), (pl, np.nan), (keep, False)))
-    shown = np.where(keep, error, np.nan)
-    axes.fill_between(minutes, 0.0, shown, color=colour, alpha=0.35, linewidth=0, step="mid")
-    axes.plot(minutes, shown, color=colour, linewidth=0.7, label=label, **dots)  # type: ignore[arg-type]
-    levels = np.where(keep & np.isfinite(pl), pl, np.nan)
-    axes.plot(minutes, levels, color=PL_COLOUR, linewidth=1.1, label="PL", **dots)  # type: ignore[arg-type]
+    times = np.insert(minutes, at, minutes[at])
+    shown = np.insert(np.where(keep, error, np.nan), at, np.nan)
+    levels = np.insert(np.where(keep & np.isfinite(pl), pl, np.nan), at, np.nan)
+    axes.fill_between(times, 0.0, shown, color=colour, alpha=0.35, linewidth=0, step="mid")
+    axes.plot(times, shown, color=colour, linewidth=0.7, label=label, **dots)  # type: ignore[arg-type]
+    axes.plot(times, levels, color=PL_COLOUR, linewidth=1.1, label="PL", **dots)  # type: ignore[arg-type]
 
 
 def map_figure(

@@ -63,12 +63,12 @@ def _require_body(m: Measurements) -> None:
 def _masked(m: Measurements) -> Measurements:
     """A copy without the satellites that have a value which is not finite."""
     g, sky = m.gnss, m.sky
-    directed = np.isfinite(sky.los_enu).all(-1)
-    bad = ~directed[sky.index]
+    directed = np.asarray(np.isfinite(sky.los_enu).all(-1))
+    bad = np.asarray(~directed[sky.index])
     values: dict[str, Any] = {name: getattr(g, name) for name in SIGNALS if getattr(g, name) is not None}
     for x in values.values():
         wrong = ~np.isfinite(x)
-        bad = bad | (wrong.any(-1) if x.ndim == 3 else wrong)
+        bad = np.asarray(bad | (wrong.any(-1) if x.ndim == 3 else wrong))
     for name, x in values.items():
         values[name] = np.where(bad[..., None] if x.ndim == 3 else bad, 0.0, x)
     values["tracked"] = g.tracked & ~bad

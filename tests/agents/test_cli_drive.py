@@ -163,6 +163,8 @@ def test_a_service_that_is_never_used_is_told():
     assert tables.unused([outcome], {}, 15.0, ()) == []
     used = outcome_of([row | {"mode": "ppp"}, row], 180.0, UNNAMED._replace(seed=1))
     assert tables.unused([used], {}, 15.0, ("ppp", "spp")) == []
+    fixed = outcome_of([row | {"mode": "rtk"}, row], 180.0, UNNAMED._replace(seed=1))
+    assert tables.unused([fixed], {}, 15.0, ("sbas_dfmc", "spp")) == []
 
 
 def test_a_cost_is_told_in_terms_of_its_limit():
