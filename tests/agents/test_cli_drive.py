@@ -154,17 +154,20 @@ def test_the_table_of_episodes_fits_into_eighty_characters(capsys, monkeypatch):
     assert "80 x the limit 15" in shown
 
 
+def _driven_by(mode: str) -> Outcome:
+    """An episode of two rows, positioned by one mode."""
+    row = dict.fromkeys([column.name for column in COLUMNS], 0.0) | {"mode": mode, "step": 900, "time_s": 179.8}
+    return outcome_of([row, row | {"time_s": 180.0}], 180.0, UNNAMED._replace(seed=1))
+
+
 def test_a_service_that_is_never_used_is_told():
-    row = dict.fromkeys([column.name for column in COLUMNS], 0.0) | {"seed": 1, "mode": "doppler", "step": 1}
-    outcome = outcome_of([row, row], 180.0, UNNAMED._replace(seed=1))
-    assert tables.measures([outcome], ("ppp",))["share of ppp"] == 0.0
-    (line,) = tables.unused([outcome], {}, 15.0, ("ppp", "spp"))
+    reckoned = [_driven_by("doppler")]
+    assert tables.measures(reckoned, ("ppp",))["share of ppp"] == 0.0
+    (line,) = tables.unused(reckoned, {}, 15.0, ("ppp", "spp"))
     assert "no decision had a position of ppp" in line
-    assert tables.unused([outcome], {}, 15.0, ()) == []
-    used = outcome_of([row | {"mode": "ppp"}, row], 180.0, UNNAMED._replace(seed=1))
-    assert tables.unused([used], {}, 15.0, ("ppp", "spp")) == []
-    fixed = outcome_of([row | {"mode": "rtk"}, row], 180.0, UNNAMED._replace(seed=1))
-    assert tables.unused([fixed], {}, 15.0, ("sbas_dfmc", "spp")) == []
+    assert tables.unused(reckoned, {}, 15.0, ()) == []
+    assert tables.unused([_driven_by("ppp")], {}, 15.0, ("ppp", "spp")) == []
+    assert tables.unused([_driven_by("rtk")], {}, 15.0, ("sbas_dfmc", "spp")) == []  # RTK comes first
 
 
 def test_a_cost_is_told_in_terms_of_its_limit():
