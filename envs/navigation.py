@@ -42,7 +42,13 @@ class NavigationConfig(Config):
         description="told: the ego knows its pose at the start; cold: it does not, and has no level before its heading "
         "is known",
     )
-    start_sigma_m: float = Field(0.05, gt=0, le=10, description="1-sigma of the position known at the start; chosen")
+    start_sigma_m: float | None = Field(
+        None,
+        gt=0,
+        le=10,
+        description="1-sigma of the position known at the start (none: 0.05 m, but 10 m where code services alone "
+        "position the car, so that they do so from the warm-up on); chosen",
+    )
     start_heading_deg: float = Field(0.5, gt=0, le=45, description="1-sigma of the heading known at the start; chosen")
     warm_up_s: float = Field(
         3.0,

@@ -69,6 +69,7 @@ def drive(
     \f
     More than 12 parameters: each is an option of the command line.
     """
+    from lanebound.agents.cli.drive_tables import unused
     from lanebound.agents.cli.early import refuse_early, refuse_film
 
     given = changes(assignments, sky=sky, faults=faults)
@@ -86,6 +87,8 @@ def drive(
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
     files["warnings"] = out / WARNINGS if out and (out / WARNINGS).is_file() else None
     print_report(f"{agent} in {name}", *drove, files, as_json)
+    for line in unused(*drove):
+        typer.echo(line, err=True)
 
 
 def _with_context(changed: dict[str, Any], display: bool) -> dict[str, Any]:
@@ -137,8 +140,8 @@ def _drive(
     finished: list[int],
     on_progress: OnProgress,
     display: bool = False,
-) -> tuple[list[Outcome], dict[str, dict[str, float | None]], float | None]:
-    """Outcomes of the episodes, errors and levels of the position, and the limit of the cost.
+) -> tuple[list[Outcome], dict[str, dict[str, float | None]], float | None, tuple[str, ...]]:
+    """Outcomes of the episodes, errors and levels of the position, the limit of the cost, and services of the ego.
 
     All refusals come before the first progress.
     """
@@ -183,7 +186,9 @@ def _drive(
         outcome_of(log.episode(i), allotted_s(env), Task(place, agent, seed), cost_limit=env.config.cost_limit)
         for i, seed in enumerate(seeds)
     ]
-    return outcomes, position_of(log.rows), env.config.cost_limit
+    sensed = env.config.navigation.source.uses_sensors
+    named = env.config.observation.services if sensed else ()
+    return outcomes, position_of(log.rows), env.config.cost_limit, named
 
 
 def _tell(shown: DriverDisplay, out: Path | None) -> None:

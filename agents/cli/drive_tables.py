@@ -13,7 +13,7 @@ from lanebound.agents.cli.output import counted
 if TYPE_CHECKING:
     from lanebound.agents.benchmark.outcome import Outcome
 
-__all__ = ["measures", "position_of", "print_report"]
+__all__ = ["measures", "position_of", "print_report", "unused"]
 
 WEIGHTED = "cost, weighted"
 MEANT = (
@@ -28,10 +28,12 @@ def print_report(
     outcomes: list[Outcome],
     position: Mapping[str, Mapping[str, float | None]],
     limit: float | None,
+    services: Sequence[str],
     files: dict[str, Path | None],
     as_json: bool,
 ) -> None:
-    """Print the tables, or JSON; ``position`` is of :func:`position_of`, ``limit`` that of the cost."""
+    """Print the tables, or JSON; ``position`` is of :func:`position_of`, ``limit`` that of the cost, ``services`` are
+    those that the navigator names beside RTK."""
     from lanebound.agents.cli.output import print_json, print_table
 
     written = {what: str(path) for what, path in files.items() if path is not None}
@@ -40,7 +42,7 @@ def print_report(
         print_json(
             {
                 "episodes": episodes,
-                "all": measures(outcomes),
+                "all": measures(outcomes, services),
                 "position": position,
                 "cost_limit": limit,
                 "files": written,
@@ -54,7 +56,7 @@ def print_report(
         rows = [(axis, *map(_metres, found.values())) for axis, found in position.items()]
         print_table("Errors and protection levels of the ego's position [m]", head, rows)
     over = "" if len(outcomes) == 1 else f", means over {len(outcomes)} episodes"
-    lines = ((*_label(key), _value(key, value, limit)) for key, value in measures(outcomes).items())
+    lines = ((*_label(key), _value(key, value, limit)) for key, value in measures(outcomes, services).items())
     print_table(f"Measures{over}", ("measure", "unit", "value"), lines)
     typer.echo(MEANT)
     for what, path in written.items():
@@ -95,8 +97,20 @@ def _metres(value: float | None) -> str:
     return "none" if value is None else f"{value:.3g}"
 
 
-def measures(outcomes: Sequence[Outcome]) -> dict[str, float]:
-    """Means over episodes; shares are of the steps of all episodes together."""
+def unused(outcomes: Sequence[Outcome], *rest: Any) -> list[str]:
+    """A line for the first service of a navigator, the last of ``rest``, if no decision had a position of it."""
+    named: Sequence[str] = rest[-1]
+    used = {mode for o in outcomes for mode, share in o.mode_shares.items() if share > 0.0}
+    if not named or named[0] in used or "rtk" in used:  # RTK comes first where it is
+        return []
+    return [
+        f"note: no decision had a position of {named[0]}: dead reckoning from the known start, or another service, had "
+        "the lower level. A larger navigation.start_sigma_m or a longer navigation.warm_up_s lets it begin"
+    ]
+
+
+def measures(outcomes: Sequence[Outcome], services: Sequence[str] = ()) -> dict[str, float]:
+    """Means over episodes; shares are of the steps of all episodes together, of named ``services`` in any case."""
     import numpy as np
 
     from lanebound.agents.benchmark.metrics import harm_of
@@ -111,7 +125,7 @@ def measures(outcomes: Sequence[Outcome]) -> dict[str, float]:
     def of_steps(shares: Sequence[float | None]) -> float:
         return float(np.dot(weight, [share or 0.0 for share in shares]))
 
-    modes = sorted({mode for o in outcomes for mode in o.mode_shares})
+    modes = sorted({mode for o in outcomes for mode in o.mode_shares} | set(services))
     return {
         "success rate": mean("success"),
         "collision rate": mean("collision"),

@@ -345,12 +345,13 @@ def _print_service(found: dict[str, Any]) -> None:
     for key, name in (("horizontal", "error"), ("horizontal_of_service", "error of the service")):
         if found.get(key):
             rows += [(f"{name}, {part} m", found[key][f"{part}_m"]) for part in ("median", "p95", "max")]
-    rows += [(key, found[key]) for key in ("available", "no_level") if key in found]
+    rows += [(key, found[key]) for key in ("available", "no_level", "no_position") if key in found]
     print_table(f"Drive on {', '.join(found['service'])}", ("", "value"), rows)
-    if found["modes"].get("none"):
+    if found["no_level"] > 0.0:
+        count, none = (round(found[key] * found["epochs"]) for key in ("no_level", "no_position"))
         typer.echo(
-            f"{found['modes']['none']} of {found['epochs']} epochs have no position with a finite level at risk "
-            f"{found['risk']:g}; a higher one has more: --set risk.integrity_risk=1e-3"
+            f"{count} of {found['epochs']} epochs have no finite level at risk {found['risk']:g}, {none} of them no "
+            "position either; a higher risk has more levels: --set risk.integrity_risk=1e-3"
         )
     if "at" in found:
         head = ("axis", "n", "above PL", "exact 95 % interval", "median PL m")

@@ -8,6 +8,8 @@ while the corrections that the vehicle holds are not older than their time-outs.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,19 +18,20 @@ from numpy.typing import NDArray
 from lanebound.agents.assess.street_drives import StreetDrivesConfig, street_of
 from lanebound.agents.checkpointing.runner import Advance, ignore
 from lanebound.integrity.core.frames import track_from_enu_matrix
-from lanebound.integrity.motion.truth import truth_between
+from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
 from lanebound.integrity.navigators.services.table import declared_of, service_named
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.systems import System
-from lanebound.integrity.sky.visibility import SignalPath
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
-__all__ = ["HOURS", "ServiceMoment", "converge", "drive_service_street", "hdop"]
+__all__ = ["HOURS", "ServiceMoment", "approach", "converge", "drive_service_street", "hdop"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+APPROACH_MPS, BRAKING_S = 10.0, 5.0
 HOUR_S, WEEK_S = 3600, 604_800
 HOURS = 24
 NO_DOP = 1e3
@@ -45,9 +48,17 @@ class ServiceMoment(NamedTuple):
     corrected: Bools
 
 
-def drive_service_street(config: StreetDrivesConfig, sky: str, number: int) -> Iterator[ServiceMoment]:
-    """The epochs of a street after the warm-up, for the first service of the navigator."""
+def drive_service_street(
+    config: StreetDrivesConfig, sky: str, number: int, approach_s: float = 0.0
+) -> Iterator[ServiceMoment]:
+    """The epochs of a street after the warm-up, for the first service of the navigator.
+
+    ``approach_s``: length of a straight drive under an open sky before the street, in which PPP converges [s].
+    """
     navigator, drive = street_of(config, sky, number)
+    if approach_s > 0.0:
+        navigator = street_of(config.replace(warm_up_s=config.warm_up_s + approach_s), sky, number)[0]
+        drive = _with_approach(navigator, drive, approach_s)
     first, epochs = (round(time_s / navigator.config.dt_s) for time_s in (config.warm_up_s, config.span_s))
     for k, truth in zip(range(epochs), drive, strict=False):
         measured = navigator.measure(truth)
@@ -59,6 +70,33 @@ def drive_service_street(config: StreetDrivesConfig, sky: str, number: int) -> I
         direct = navigator.mask.look(truth.arc_m, truth.lane, measured.sky).path == SignalPath.LOS
         every, ours = (hdop(navigator.config, measured, among) for among in (np.ones_like(direct), direct))
         yield ServiceMoment(turned, solution, every, ours, corrected(navigator.config, measured))
+
+
+def _with_approach(navigator: Navigator, drive: Iterator[Truth], approach_s: float) -> Iterator[Truth]:
+    """The drive after an approach to where it begins, which the navigator drives here under an open sky."""
+    start, street, dt_s = next(drive), navigator.mask, navigator.config.dt_s
+    navigator.mask = SkyMask.open()
+    for truth in approach(start, approach_s, dt_s):
+        navigator.step(truth)
+    navigator.mask = street
+    return (replace(truth, time_s=truth.time_s + approach_s) for truth in chain([start], drive))
+
+
+def approach(start: Truth, length_s: float, dt_s: float) -> Iterator[Truth]:
+    """A straight drive that ends with the pose and speed at which another one starts."""
+    epochs, heading = round(length_s / dt_s), start.heading_rad
+    forward = np.stack([np.sin(heading), np.cos(heading)], -1)
+    final = np.einsum("bi,bi->b", start.velocity_enu_mps[:, :2], forward)
+    left_s = dt_s * np.arange(epochs, -1, -1)  # until the end, (T + 1,)
+    speed = final + (APPROACH_MPS - final) * np.minimum(left_s / BRAKING_S, 1.0)[:, None]
+    way = np.concatenate([[np.zeros_like(final)], np.cumsum(0.5 * dt_s * (speed[1:] + speed[:-1]), axis=0)])
+    place = start.position_enu_m[:, :2] - dt_s * start.velocity_enu_mps[:, :2] + (way - way[-1])[..., None] * forward
+    velocity = speed[..., None] * forward
+    for k in range(epochs):
+        yield truth_between(
+            dt_s * (k + 1), dt_s, (place[k], place[k + 1]), (velocity[k], velocity[k + 1]), (heading, heading),
+            start.arc_m, start.lane,
+        )  # fmt: skip
 
 
 def hdop(config: Any, m: Measurements, among: Bools) -> Array:

@@ -346,10 +346,11 @@ def place_all(
 ) -> None:
     """Start vehicles of a navigator near their true poses: xy (n, 2), heading (n,), standard normal noise (n, 3)."""
     spread = np.deg2rad(config.start_heading_deg)
+    sigma_m = navigator.config.told_sigma_m if config.start_sigma_m is None else config.start_sigma_m
     navigator.place(
-        enu_of(xy + config.start_sigma_m * noise[:, :2]),
+        enu_of(xy + sigma_m * noise[:, :2]),
         azimuth_of(heading_rad + spread * noise[:, 2]),
-        config.start_sigma_m,
+        sigma_m,
         float(spread),
         rows,
     )

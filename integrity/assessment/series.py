@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 BUILDING = "#DAD6CF"
 RTK_SCALE_M = 0.5  # S1 section 5: the RTK panels have a smaller error scale
 AXIS_NAMES = {"at": "along track (AT)", "ct": "cross track (CT)"}
+GAP = 2.5  # median distances between epochs: further apart there is no line, and a mode does not last
 SPARSE = 0.1  # a mode used less than this is drawn with dots: single epochs make no line
 PANELS = (Mode.RTK, Mode.DOPPLER, Mode.IMU_ODOMETER)  # of S1; a drive by code shows the modes that it used instead
 
@@ -43,7 +44,8 @@ def series_figure(
 ) -> Figure:
     """Plot absolute error and protection level of one vehicle over time: AT left, CT right; all modes, then each mode.
 
-    The modes are the three of the paper; for code positions the modes that occur.
+    The modes are the three of the paper; for code positions and services the modes that occur. Lines end and the strip
+    of modes is grey where epochs are further apart than ``GAP`` times their usual distance.
 
     Raises
     ------
@@ -54,8 +56,10 @@ def series_figure(
         raise InputError(
             f"record must hold one vehicle, (T,), got {np.shape(record.error_at_m)}: select a column first"
         )
-    used = [mode for mode in Mode if (record.mode == mode).any()]
-    panels = [m for m in (Mode.CODE, *PANELS) if m in used] if Mode.CODE in used else PANELS
+    broken = bool(gaps_of(_minutes(record))[0].any())
+    used = [mode for mode in Mode if (record.mode == mode).any() or (broken and mode is Mode.NONE)]
+    own = [m for m in used if m is Mode.CODE or m.is_service]
+    panels = [*own, *(m for m in PANELS if m in used and m not in own)] if own else PANELS
     figure = new_figure(11.0, 1.8 + 1.9 * (1 + len(panels)))
     figure.suptitle("Position error and protection level (PL)" + risk_text(risk), fontsize=12, color=INK)
     mode_key(
@@ -104,13 +108,25 @@ def _all_modes(axes: Axes, record: Record, axis: Axis, al: float | None, top: fl
 
 def _mode_strip(axes: Axes, minutes: Array, record: Record) -> None:
     """A band of mode colours along the top of the panel."""
-    begins = np.flatnonzero(np.diff(record.mode, prepend=-1))  # a mode lasts until the next epoch
-    lasts = np.diff(minutes[begins], append=minutes[-1])
+    gaps, usual = gaps_of(minutes)
+    begins = np.flatnonzero(np.diff(record.mode, prepend=-1).astype(bool) | gaps)  # a mode lasts until the next epoch
+    ends = np.append(minutes[begins[1:]], minutes[-1])
+    after = np.append(gaps[begins[1:]], False)
+    ends[after] = minutes[begins[1:] - 1][after[:-1]] + usual
     for mode in Mode:
-        bars = [(minutes[k], last) for k, last in zip(begins, lasts, strict=True) if record.mode[k] == mode]
+        bars = [(minutes[k], end - minutes[k]) for k, end in zip(begins, ends, strict=True) if record.mode[k] == mode]
+        if mode is Mode.NONE:
+            bars += [(minutes[k - 1] + usual, minutes[k] - minutes[k - 1] - usual) for k in np.flatnonzero(gaps)]
         axes.broken_barh(
             bars, (0.965, 0.035), linewidth=0, color=mode_colour(mode), transform=axes.get_xaxis_transform(), zorder=4
         )
+
+
+def gaps_of(time: Array) -> tuple[NDArray[np.bool_], float]:
+    """Whether an epoch (T,) comes after a gap, and the usual distance of epochs."""
+    steps = np.diff(time)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    return np.concatenate([[False], steps > GAP * usual]), usual
 
 
 def _one_mode(axes: Axes, record: Record, axis: Axis, mode: Mode) -> None:
@@ -128,13 +144,15 @@ def _one_mode(axes: Axes, record: Record, axis: Axis, mode: Mode) -> None:
 def _draw(
     axes: Axes, minutes: Array, error: Array, pl: Array, keep: NDArray[np.bool_], colour: str, label: str
 ) -> None:
-    """Draw the level as a line over the filled error, with gaps at epochs of other modes."""
-    shown = np.where(keep, error, np.nan)
-    axes.fill_between(minutes, 0.0, shown, color=colour, alpha=0.35, linewidth=0, step="mid")
-    dots = {"marker": ".", "markersize": 2.2} if keep.mean() < SPARSE else {}
-    axes.plot(minutes, shown, color=colour, linewidth=0.7, label=label, **dots)  # type: ignore[arg-type]
-    levels = np.where(keep & np.isfinite(pl), pl, np.nan)
-    axes.plot(minutes, levels, color=PL_COLOUR, linewidth=1.1, label="PL", **dots)  # type: ignore[arg-type]
+    """Draw the level as a line over the filled error, with gaps at epochs of other modes and where there are none."""
+    at = np.flatnonzero(gaps_of(minutes)[0])
+    dots = {"marker": ".", "markersize": 2.2} if keep.mean() < SPARSE or at.size else {}
+    times = np.insert(minutes, at, minutes[at])
+    shown = np.insert(np.where(keep, error, np.nan), at, np.nan)
+    levels = np.insert(np.where(keep & np.isfinite(pl), pl, np.nan), at, np.nan)
+    axes.fill_between(times, 0.0, shown, color=colour, alpha=0.35, linewidth=0, step="mid")
+    axes.plot(times, shown, color=colour, linewidth=0.7, label=label, **dots)  # type: ignore[arg-type]
+    axes.plot(times, levels, color=PL_COLOUR, linewidth=1.1, label="PL", **dots)  # type: ignore[arg-type]
 
 
 def map_figure(

@@ -12,9 +12,12 @@ from lanebound.integrity.core.errors import InputError, require_finite, require_
 from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.motion.truth_kernel import EndRows, TrueMotion, between
 
-__all__ = ["Truth", "truth_between"]
+__all__ = ["Truth", "require_consistent", "truth_between"]
 
 Array = NDArray[np.float64]
+
+FREE_M, FREE_SHARE, FREE_MPS2 = 0.5, 0.5, 10.0  # by how much a displacement may differ from that of its velocities
+MOVING_MPS, LARGEST_SLIP_RAD = 3.0, np.deg2rad(60.0)  # from this speed on a heading must fit the course
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,38 @@ def _plane_vectors(name: str, value: ArrayLike, batch: int) -> Array:
     return vectors
 
 
+def require_consistent(dt_s: float, moved_m: Array, mean_mps: Array, velocity_mps: Array, heading_rad: Array) -> None:
+    """Refuse a displacement that the velocities do not explain, and a heading across the direction of motion.
+
+    The bounds are generous: wrong units and swapped axes are beyond them, skids and steps of a simulator are not.
+
+    Raises
+    ------
+    InputError
+        With the vehicle, what was found and what is likely.
+    """
+    off = np.hypot(*(moved_m - dt_s * mean_mps).T)
+    most = FREE_M + FREE_SHARE * dt_s * np.hypot(*mean_mps.T) + FREE_MPS2 * dt_s**2
+    if (off > most).any():
+        b = int(np.argmax(off - most))
+        raise InputError(
+            f"position_m must move by the mean velocity times dt_s = {dt_s:g} s to within {most[b]:.2f} m, got "
+            f"{np.hypot(*moved_m[b]):.2f} m at {np.hypot(*mean_mps[b]):.2f} m/s for vehicle {b}: give metres, m/s and "
+            "s; to begin elsewhere, use navigator.place"
+        )
+    speed = np.hypot(*velocity_mps.T)
+    along = np.abs(velocity_mps[:, 0] * np.sin(heading_rad) + velocity_mps[:, 1] * np.cos(heading_rad))
+    across = (speed > MOVING_MPS) & (along < np.cos(LARGEST_SLIP_RAD) * speed)
+    if across.any():
+        b = int(np.argmax(across))
+        course = np.arctan2(velocity_mps[b, 0], velocity_mps[b, 1])
+        raise InputError(
+            f"heading_rad must lie within {np.rad2deg(LARGEST_SLIP_RAD):.0f} degrees of the direction of motion or its "
+            f"reverse, got {heading_rad[b]:.2f} rad with a course of {course:.2f} rad for vehicle {b}: give azimuths "
+            "in radians, clockwise from North, and vectors as East, North"
+        )
+
+
 def truth_between(
     time_s: float,
     dt_s: float,
@@ -106,7 +141,8 @@ def truth_between(
     Raises
     ------
     InputError
-        An entry is not finite, a shape does not fit the others, or ``dt_s`` is not positive.
+        An entry is not finite, a shape does not fit the others, ``dt_s`` is not positive, or the motion contradicts
+        itself (:func:`require_consistent`).
     """
     if not dt_s > 0.0:
         raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of the epoch in seconds")
@@ -114,6 +150,7 @@ def truth_between(
     require_shape("heading_rad", h0, (h1.size,))
     p0, p1 = (_plane_vectors("position_m", p, h1.size) for p in position_m)
     v0, v1 = (_plane_vectors("velocity_mps", v, h1.size) for v in velocity_mps)
+    require_consistent(dt_s, p1 - p0, 0.5 * (v0 + v1), v1, h1)
     where = np.array(np.broadcast_to(require_finite("arc_m", arc_m), h1.shape))
     row = np.array(np.broadcast_to(np.asarray(lane, dtype=np.int64), h1.shape))
     return Truth.between(float(time_s), float(dt_s), (p0, p1), (v0, v1), (h0, h1), where, row)

@@ -39,6 +39,7 @@ from lanebound.integrity.navigators.navigator import Measurements, Navigator, Na
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.config import bound_correlation
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sensors.finite import with_finite
 from lanebound.integrity.sensors.gnss import GnssConfig
 
 __all__ = ["MonitorChoice", "MonitoredCodesConfig", "MonitoredCodesNavigator"]
@@ -204,6 +205,7 @@ class MonitoredCodesNavigator(Navigator):
 
     def locate(self, m: Measurements) -> Solution:
         """Move, calibrate, fix where due, and report."""
+        m = with_finite(m)
         velocity = self._move(m)
         count = self._calibrate(m)
         hdop, satellites, excluded = self._fix(m)
@@ -290,6 +292,8 @@ class MonitoredCodesNavigator(Navigator):
     ) -> Solution:  # fmt: skip
         """The belief as a solution; no position without a finite deviation."""
         b, c = self.state.belief, self.config
+        placed = np.isfinite(b.position_m[:, :2]).all(-1) & np.isfinite(b.heading_rad)
+        b.position_m[~placed], b.level_m[~placed], b.sigma_m[~placed] = 0.0, np.inf, np.inf
         level, there = b.level_m[:, 0].copy(), np.isfinite(b.sigma_m)
         cause = np.where(there, AlertReason.NONE.code, AlertReason.INITIALISING.code)
         status = step(c.alert, b.alert, level, level, c.dt_s, cause=cause)

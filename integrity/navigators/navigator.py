@@ -43,6 +43,7 @@ from lanebound.integrity.sensors.compass import CompassConfig, initial_compass, 
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.faults import FaultSchedule
+from lanebound.integrity.sensors.finite import with_finite
 from lanebound.integrity.sensors.gnss import GnssConfig
 from lanebound.integrity.sensors.imu import ImuConfig, initial_imu
 from lanebound.integrity.sensors.instruments import Instruments, InstrumentState, Measurements
@@ -67,6 +68,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
+TOLD_SIGMA_M = 0.05  # of a drive that begins where the last one with RTK ended
 
 BUILT_IN = {
     "filter": "lanebound.integrity.navigators.vehicle_filter.navigator",
@@ -134,6 +136,11 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
                 "the levels count on the thresholds of false_alarm"
             )
         return self
+
+    @property
+    def told_sigma_m(self) -> float:
+        """1-sigma of a position that a vehicle is told at its start, where nothing else is set [m]; chosen."""
+        return TOLD_SIGMA_M
 
     @property
     def receiver(self) -> GnssConfig:
@@ -291,7 +298,11 @@ class Navigator:
         raise NotImplementedError
 
     def locate(self, m: Measurements) -> Solution:
-        """The belief after the measurements of one epoch; reads nothing else."""
+        """The belief after the measurements of one epoch; reads nothing else.
+
+        The kinds of this package take satellites out of use whose values are not finite, and refuse other sensors whose
+        values are not (:func:`~lanebound.integrity.sensors.finite.with_finite`).
+        """
         raise NotImplementedError
 
     # What all kinds have
@@ -434,7 +445,7 @@ class Navigator:
             return solution
         if self._guard is None or self.state.guard is None:
             raise InputError("context needs a road map, got none: give one by use_map, or leave navigator.context out")
-        return self._guard.judge(self.state.guard, m, solution)
+        return self._guard.judge(self.state.guard, with_finite(m), solution)
 
     def measure(self, truth: Truth, sky: SkyView | None = None) -> Measurements:
         """The measurements of this epoch; nothing else reads the truth.

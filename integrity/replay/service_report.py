@@ -35,8 +35,10 @@ Array = NDArray[np.float64]
 
 SMARTLOC_DT_S = 0.1  # its epochs are 0.2 and 0.3 s apart
 HEAD = (
-    "time_s", "mode", "east_m", "north_m", "heading_rad", "pl_at_m", "pl_ct_m", "alert", "error_e_m", "error_n_m",
+    "time_s", "mode", "status", "east_m", "north_m", "heading_rad", "pl_at_m", "pl_ct_m", "alert", "error_e_m",
+    "error_n_m",
 )  # fmt: skip
+LEVEL, NO_LEVEL, NO_POSITION = "level", "no level", "no position"
 CAUTION = (
     "epochs of one drive are not independent: adjacent epochs share satellites and reflections. The exact intervals "
     "are therefore too narrow"
@@ -139,12 +141,17 @@ def _rinex_epochs(folder: Path, names: Sequence[str]) -> tuple[ServiceEpochs, fl
 
 
 def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
-    """Statistics of a drive as JSON data: errors, levels and shares of the epochs that are judged."""
+    """Statistics of a drive as JSON data: errors, levels and shares of the epochs that are judged.
+
+    ``no_level`` and ``modes`` are of all recorded epochs.
+    """
     epochs, keep = drive.epochs, drive.judged
     there = drive.epoch >= 0
+    status = [status_of(drive, n) for n in np.flatnonzero(there)]
     found: dict[str, Any] = {
         "risk": drive.config.risk.integrity_risk, "reference": epochs.reference, "epochs": int(there.sum()),
         "judged": int(keep.sum()), "begun_s": drive.begun_s if np.isfinite(drive.begun_s) else None,
+        "no_level": 1.0 - status.count(LEVEL) / len(status), "no_position": status.count(NO_POSITION) / len(status),
         "modes": {m.key: int((drive.mode[there] == int(m)).sum()) for m in Mode if (drive.mode[there] == int(m)).any()},
     }  # fmt: skip
     if not keep.any():
@@ -156,11 +163,17 @@ def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
         "horizontal_of_service": _quantiles(errors[service]) if service.any() else None,
         "available": float(record.available.mean()),
         "alert": float(record.alert.mean()),
-        "no_level": float(np.isinf(record.pl("at") + record.pl("ct")).mean()),
         **{axis: asdict(measure_bounding(record.error(axis), record.pl(axis))) for axis in AXES},
         "caution": CAUTION,
     }
     return found | figures
+
+
+def status_of(drive: ServiceDrive, n: int) -> str:
+    """Whether tick n has a position with a level, one without, or none."""
+    if drive.mode[n] == Mode.NONE:
+        return NO_POSITION
+    return LEVEL if np.isfinite(drive.pl_m[n]).all() else NO_LEVEL
 
 
 def _quantiles(error_m: Array) -> dict[str, float]:
@@ -181,7 +194,7 @@ def _write_rows(drive: ServiceDrive, path: Path) -> None:
             there, levels = drive.mode[n] != Mode.NONE, drive.pl_m[n]
             error = drive.position_en_m[n] - drive.epochs.truth_enu_m[drive.epoch[n], :2]
             writer.writerow([
-                f"{drive.time_s[n]:.3f}", Mode(int(drive.mode[n])).key,
+                f"{drive.time_s[n]:.3f}", Mode(int(drive.mode[n])).key, status_of(drive, n),
                 *(f"{v:.3f}" if there else "" for v in drive.position_en_m[n]), f"{drive.heading_rad[n]:.5f}",
                 *(f"{v:.3f}" if np.isfinite(v) else "" for v in levels), int(drive.alert[n]),
                 *(f"{v:.3f}" if judged[n] else "" for v in error),

@@ -148,10 +148,26 @@ def test_the_table_of_episodes_fits_into_eighty_characters(capsys, monkeypatch):
     end = {"time_s": 180.0, "cost": 1196.9, "reward": -123.4, "off_road": True}
     outcome = outcome_of([row | {"time_s": 179.8}, row | end], 180.0, UNNAMED._replace(seed=10_000))
     position = tables.position_of([row])
-    tables.print_report("integrity_aware in LaneKeeping", [outcome], position, 15.0, {}, False)
+    tables.print_report("integrity_aware in LaneKeeping", [outcome], position, 15.0, (), {}, False)
     shown = capsys.readouterr().out
     assert max(map(len, shown.splitlines())) <= 80
     assert "80 x the limit 15" in shown
+
+
+def _driven_by(mode: str) -> Outcome:
+    """An episode of two rows, positioned by one mode."""
+    row = dict.fromkeys([column.name for column in COLUMNS], 0.0) | {"mode": mode, "step": 900, "time_s": 179.8}
+    return outcome_of([row, row | {"time_s": 180.0}], 180.0, UNNAMED._replace(seed=1))
+
+
+def test_a_service_that_is_never_used_is_told():
+    reckoned = [_driven_by("doppler")]
+    assert tables.measures(reckoned, ("ppp",))["share of ppp"] == 0.0
+    (line,) = tables.unused(reckoned, {}, 15.0, ("ppp", "spp"))
+    assert "no decision had a position of ppp" in line
+    assert tables.unused(reckoned, {}, 15.0, ()) == []
+    assert tables.unused([_driven_by("ppp")], {}, 15.0, ("ppp", "spp")) == []
+    assert tables.unused([_driven_by("rtk")], {}, 15.0, ("sbas_dfmc", "spp")) == []  # RTK comes first
 
 
 def test_a_cost_is_told_in_terms_of_its_limit():

@@ -8,14 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lanebound.agents.reproduce.service_drives import NO_DOP, converge, hdop
+from lanebound.agents.reproduce.service_drives import NO_DOP, approach, converge, hdop
 from lanebound.agents.reproduce.services import (
     ServiceStudyConfig,
+    _drive,
     convergence_rows,
     mixed_rows,
     run_services,
     service_rows,
 )
+from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sky.systems import System
 
@@ -65,6 +67,27 @@ def test_a_small_study_has_all_its_tables(tmp_path: Path) -> None:
     assert [row[0] for row in mixed_rows(result)[1]] == ["s4_egnos", "s4_sisnet"]
     assert [row[0] for row in convergence_rows(result)[1]] == ["1", "2"]
     assert run_services(config, tmp_path) == result  # resumed: nothing is driven anew
+
+
+def test_an_approach_ends_where_the_street_begins_with_its_speed() -> None:
+    still = np.zeros((2, 2))
+    place, heading = np.array([[3.0, 4.0], [50.0, -7.0]]), np.array([0.3, 2.0])
+    start = truth_between(0.1, 0.1, (place, place), (still, still), (heading, heading), [12.0, 15.0], 1)
+    truths = list(approach(start, 60.0, 0.1))
+    assert len(truths) == 600
+    np.testing.assert_allclose(truths[-1].position_enu_m, start.position_enu_m, atol=1e-9)
+    np.testing.assert_allclose(truths[-1].velocity_enu_mps, 0.0, atol=1e-12)
+    assert truths[-1].time_s == pytest.approx(60.0)
+    far = np.hypot(*(truths[0].position_enu_m - start.position_enu_m)[:, :2].T)
+    np.testing.assert_allclose(far, 10.0 * 55.0 + 0.5 * 10.0 * 5.0 - 1.0, rtol=1e-9)
+
+
+def test_ppp_enters_a_street_converged() -> None:
+    config = ServiceStudyConfig(
+        seeds=1, cases=("ppp",), skies=("open",), vehicles=2, duration_s=2.0, warm_up_s=1.0, ppp_approach_s=60.0
+    )
+    assert _drive(config, "open", 0, "ppp")["cep_m"] < 0.5
+    assert _drive(config, "open", 0, "ppp")["service"] == 1.0
 
 
 def test_ppp_gets_better_with_time_and_its_levels_hold() -> None:

@@ -19,6 +19,8 @@ from lanebound.integrity.sensors.gnss import GnssConfig
 
 __all__ = ["RtkReckoningConfig"]
 
+UNTOLD_SIGMA_M = 10.0  # larger than that of any service
+
 
 class RtkReckoningConfig(NavigatorConfig):
     """RTK, bridged by Doppler and by dead reckoning with odometer and gyro (S1 figure 1); the default kind."""
@@ -52,6 +54,15 @@ class RtkReckoningConfig(NavigatorConfig):
                 raise ConfigError(f"{what} must name each one once, got {list(names)}: remove the repeated one")
         _ = self.chosen_modes, self.chosen_monitors
         return self
+
+    @property
+    def told_sigma_m(self) -> float:
+        """As that of any navigator; without RTK so large that any service is better.
+
+        Dead reckoning from a position known to centimetres is better than code services for minutes.
+        """
+        fixes = any(service_named(name).fixes for name in self.service)
+        return super().told_sigma_m if fixes else UNTOLD_SIGMA_M
 
     @cached_property
     def receiver(self) -> GnssConfig:

@@ -46,6 +46,7 @@ from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.drift_watch_kernel import ANCHOR, DRIFT, DriftWatch
 from lanebound.integrity.positioning.float_filter_kernel import FILTER_ROW, MEASURED, SLOT, STATES, Filtered
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY
+from lanebound.integrity.sensors.finite import with_finite
 
 __all__ = ["RtkReckoningNavigator"]
 
@@ -119,6 +120,7 @@ class RtkReckoningNavigator(Navigator):
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
+        m = with_finite(m)
         measured, belief = measured_of(m), self.state.belief
         if self._excludes:
             measured = measured._replace(tracked=measured.tracked.copy())

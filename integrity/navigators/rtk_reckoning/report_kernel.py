@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.monitoring.alerts_kernel import INITIALISING, TEST_FAILED, alert_step
+from lanebound.integrity.monitoring.alerts_kernel import INITIALISING, NO_SOLUTION, TEST_FAILED, alert_step
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import remember_velocity, sigma_and_bias
 from lanebound.integrity.monitoring.doppler_separation_kernel import separations_of
 from lanebound.integrity.monitoring.jump_kernel import is_suspicious
@@ -63,11 +63,14 @@ def report(first: int, last: int, epoch: Epoch) -> None:
             sigma_h = math.sqrt(vehicle.heading.p_hh)
             sigma_at = math.hypot(w.fixed.sigma[0], par.lever.right * sigma_h)
             sigma_ct = math.hypot(w.fixed.sigma[1], par.lever.forward * sigma_h)
-        known = vehicle.initialised and not (par.cold and vehicle.since_calibration == math.inf)
+        whole = keep_finite(vehicle, out.levels[v])
+        known = whole and vehicle.initialised and not (par.cold and vehicle.since_calibration == math.inf)
         if not known and par.cold:
             out.levels[v, :, :] = math.inf
         cause, doubted = w.cause if known else INITIALISING, is_suspicious(vehicle.jump)
-        if doubted or (vehicle.unbounded and w.mode != RTK and w.mode != NONE):
+        if not whole:
+            cause = NO_SOLUTION
+        elif doubted or (vehicle.unbounded and w.mode != RTK and w.mode != NONE):
             cause = TEST_FAILED
         at, ct = out.levels[v, 0, 0], out.levels[v, 0, 1]
         out.available[v] = alert_step(cause, at, ct, sigma_at, sigma_ct, par.dt, par.alert, vehicle.alert)
@@ -82,6 +85,24 @@ def report(first: int, last: int, epoch: Epoch) -> None:
         out.covariance[v, 0, 1] = out.covariance[v, 1, 0] = g.p_en + turned_e * turned_n * variance
         for s in range(out.held.shape[1]):
             out.held[v, s] = state.ambiguities[v, s].held
+
+
+@jit(borrows=True)
+def keep_finite(vehicle: Any, levels: Any) -> bool:
+    """Whether position and heading are finite; else there is no level, and the position is the last one of RTK that is.
+
+    Only a stage from outside can make them so: measurements that are not finite do not come here.
+    """
+    if math.isfinite(vehicle.position[0] + vehicle.position[1] + vehicle.heading.angle):
+        return True
+    levels[:, :] = math.inf
+    vehicle.unbounded = True
+    for k in range(2):
+        if not math.isfinite(vehicle.backup.position[k]):
+            vehicle.backup.position[k] = 0.0
+        if not math.isfinite(vehicle.position[k]):
+            vehicle.position[k] = vehicle.backup.position[k]
+    return False
 
 
 @jit(borrows=True)

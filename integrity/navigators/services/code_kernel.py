@@ -103,7 +103,7 @@ def fill_vehicle(
             code = smooth(code, phase, locked, most, gate, decay, hatch)
             white, lasting, of_carrier = hatch.white, hatch.lasting, noise * noise + (diverges * hatch.age) ** 2
         used = there and sine > rules.sin_mask and cn0 >= rules.cn0_min and inputs.declared[s] < math.inf
-        if not used:
+        if not (used and math.isfinite(inputs.satellite[v, s] + inputs.zenith[v, s])):
             continue
         count += 1
         ranges.used[v, s], ranges.odds[v, s] = True, odds + par.risk.satellite_prior[service.tables.system[s]]

@@ -128,6 +128,12 @@ class CouplingConfig(Config):
 class ServicesConfig(Config):
     """Declared figures of each service."""
 
+    preference: float = Field(
+        2.0,
+        ge=1,
+        description="level of a service over that of a less preferred one, up to which the more preferred is taken "
+        "[-]; 1: the lower level alone decides; chosen",
+    )
     coupling: CouplingConfig = Field(CouplingConfig(), description="of code services and the position reckoned on")
     barometer: DeclaredBarometerConfig = Field(
         DeclaredBarometerConfig(),

@@ -1,7 +1,7 @@
 """The position of a service from its corrected ranges: fault test, protection levels, and whether it is offered.
 
 Satellites are rows with a variance and the odds of a fault; sets of two and three of them are fault modes beside single
-satellites and systems. The position is offered where its level is lower than that of the position reckoned on.
+satellites and systems. :func:`takes` decides which position is offered, by levels and by the preference of services.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.services.records_kernel import ServiceInputs, ServiceRows, ServiceTables
 from lanebound.integrity.navigators.services.zenith_kernel import CarrierTables, update_zenith
-from lanebound.integrity.positioning.codes_kernel import NO_CORRECTIONS
+from lanebound.integrity.positioning.codes_kernel import NO_CORRECTIONS, NONE
 from lanebound.integrity.positioning.geometry_kernel import SOLVED, find_geometry, solve
 from lanebound.integrity.positioning.rows_kernel import Rows
 
-__all__ = ["LEAST_ROWS", "check_ranges", "find_fix", "keep_likely", "offer", "pack", "position_of"]
+__all__ = ["LEAST_ROWS", "check_ranges", "find_fix", "keep_likely", "offer", "pack", "position_of", "takes"]
 
 Array = NDArray[np.float64]
 
@@ -43,14 +43,15 @@ def check_ranges(
 ) -> None:
     """Exclude doubtful and faulty ranges of vehicles that are due; the zenith delay learns from what remains.
 
-    Vehicles that have a position of a service before are tested only where there is a zenith delay to learn.
+    Vehicles that have an RTK position are tested only where there is a zenith delay to learn.
     """
     par, tables, learns = service.parameters[0], service.tables, carrier.rules[0].zenith
     scratch = fixed_scratch(service.allowed.shape[0], par.rtk.doubt.sets)
     position, q = np.empty(3), np.empty((3, 3))
     for v in range(first, last):
         ranges.consistent[v], ranges.few[v] = False, False
-        if not ranges.due[v] or (epoch.work.vehicles[v].fixed.usable and not learns):
+        fixed = epoch.work.vehicles[v].fixed.usable and ranges.offered[v] == 0
+        if not ranges.due[v] or (fixed and not learns):
             continue
         los = epoch.measured.los[epoch.measured.sight[v]]
         here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
@@ -69,18 +70,20 @@ def check_ranges(
 def find_fix(
     first: int, last: int, epoch: Epoch, service: ServiceTables, inputs: ServiceInputs, ranges: ServiceRows
 ) -> None:
-    """Offer the position of tested ranges where no service before has, and where its level is the lowest."""
+    """Offer the position of tested ranges where :func:`takes` says so; without a level where nothing moves another."""
     par, rules = service.parameters[0], service.rules[0]
     scratch = fixed_scratch(service.allowed.shape[0], par.rtk.doubt.sets)
     levels = np.empty((epoch.out.levels.shape[1], 2))
     for v in range(first, last):
         vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
-        if not ranges.consistent[v] or w.fixed.usable:
+        if not ranges.consistent[v] or (w.fixed.usable and ranges.offered[v] == 0):
             continue
         used, hdop = position_of(v, epoch, service, inputs, ranges, scratch, levels)
         if used == 0:
             continue
-        if is_lower(levels, epoch.out.levels[v]) or is_suspicious(vehicle.jump):
+        doubted, alone = is_suspicious(vehicle.jump) and not w.fixed.usable, w.mode == NONE and not w.fixed.usable
+        unbounded = alone and not par.cold and not bounded(levels[0]) and not bounded(epoch.out.levels[v, 0])
+        if takes(v, levels, epoch.out.levels[v], service, ranges) or doubted or unbounded:
             offer(w.fixed, scratch.geo.fix[0], used, ranges.excluded[v], hdop)
             epoch.work.fixed_levels[v, :, :] = levels
             ranges.offered[v] = rules.mode
@@ -126,13 +129,25 @@ def pack(rows: Rows, odds: Array, bias: float, scratch: FixedScratch) -> int:
 
 
 @jit(borrows=True)
-def is_lower(found: Array, expected: Array) -> bool:
-    """Whether the operative levels found (R, 2) are lower than those expected, by the sum of their squares."""
+def takes(v: int, found: Array, expected: Array, service: ServiceTables, ranges: ServiceRows) -> bool:
+    """Whether a position of operative levels found (R, 2) replaces the one reckoned on, of the levels expected.
+
+    Levels are compared by the sum of their squares. That of a position moved on from a less preferred service may be up
+    to ``preference`` times smaller; that of a more preferred service which has found a position in this epoch, too.
+    """
     if not bounded(found[0]):
+        return False
+    level, factor = found[0, 0] ** 2 + found[0, 1] ** 2, service.rules[0].preference ** 2
+    preferred = ranges.least[v] < factor * level
+    ranges.least[v] = min(ranges.least[v], level)
+    if preferred:
         return False
     if not bounded(expected[0]):
         return True
-    return bool(found[0, 0] ** 2 + found[0, 1] ** 2 < expected[0, 0] ** 2 + expected[0, 1] ** 2)
+    for mode in service.later:
+        if mode == ranges.latest[v]:
+            level /= factor
+    return bool(level < expected[0, 0] ** 2 + expected[0, 1] ** 2)
 
 
 @jit(borrows=True)

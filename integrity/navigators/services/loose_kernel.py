@@ -33,7 +33,7 @@ from lanebound.integrity.navigators.services.coupling_kernel import (
     propose_whole,
 )
 from lanebound.integrity.navigators.services.coupling_records_kernel import Coupling, Part
-from lanebound.integrity.navigators.services.fix_kernel import is_lower, offer, position_of
+from lanebound.integrity.navigators.services.fix_kernel import offer, position_of, takes
 from lanebound.integrity.navigators.services.records_kernel import (
     LEAST_WEIGHT,
     ServiceInputs,
@@ -69,7 +69,7 @@ def couple_fix(
         if used > 0:
             describe(v, used, epoch, service, ranges, scratch, coupling, part)
             if is_whole(v, epoch, how.restart, scratch, levels, part.extra[0], coupling):
-                if is_lower(levels, expected) or is_suspicious(vehicle.jump):
+                if takes(v, levels, expected, service, ranges) or is_suspicious(vehicle.jump):
                     offer(w.fixed, scratch.geo.fix[0], used, ranges.excluded[v], hdop)
                     epoch.work.fixed_levels[v, :, :] = levels
                     ranges.offered[v] = rules.mode

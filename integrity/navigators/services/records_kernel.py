@@ -36,6 +36,7 @@ SERVICE_RULES = record(
     max_hdop="largest HDOP of a position [-]",
     errors=(CODE_ERRORS, "error budget of its ranges"),
     bias="bound of a lasting error of one code [m]",
+    preference="level over that of a less preferred service, up to which this one is taken [-]",
     max_age="oldest satellite corrections [s]",
     zenith_max_age="oldest ionospheric grid [s]",
 )
@@ -47,7 +48,7 @@ class ServiceTables(NamedTuple):
 
     rules (1,) of SERVICE_RULES; parameters (1,) of PARAMETERS and tables with its risks, tests and fault priors;
     share (S, 2) of each band in the range of a satellite; noise (S,) 1 sigma of the range over that of one band;
-    allowed (S,) satellites that may be used.
+    allowed (S,) satellites that may be used; later (n,) modes of the services that are less preferred.
     """
 
     rules: Records
@@ -56,6 +57,7 @@ class ServiceTables(NamedTuple):
     share: Array
     noise: Array
     allowed: NDArray[np.bool_]
+    later: NDArray[np.int64]
 
 
 class ServiceInputs(NamedTuple):
@@ -91,7 +93,8 @@ class ServiceRows(NamedTuple):
 
     y, variance, odds (B, S), and fast (B, S) the part of the variance by noise and multipath; used (B, S); due (B,) a
     position is to be found; consistent (B,) the fault test has passed, with ``excluded`` (B,) ranges out of use; few
-    (B,) too few ranges for it remain; offered (B,) as in ServiceLabels.
+    (B,) too few ranges for it remain; offered, latest (B,) as in ServiceLabels; least (B,) the smallest sum of squares
+    of both levels that a service has found in this epoch [m^2].
     """
 
     y: Array
@@ -104,6 +107,8 @@ class ServiceRows(NamedTuple):
     few: NDArray[np.bool_]
     excluded: NDArray[np.int64]
     offered: NDArray[np.int64]
+    latest: NDArray[np.int64]
+    least: Array
 
 
 class ServiceLabels(NamedTuple):

@@ -98,7 +98,14 @@ def service_tables(config: RtkReckoningConfig, service: Service, system: NDArray
         share=np.ascontiguousarray(share),
         noise=np.sqrt((share**2).sum(-1)),
         allowed=np.isin(system, [int(System[name]) for name in declared.systems]),
+        later=np.array([int(service_named(name).mode) for name in _after(service, config)], dtype=np.int64),
     )
+
+
+def _after(service: Service, config: RtkReckoningConfig) -> tuple[str, ...]:
+    """Names of the services that a configuration prefers less than this one."""
+    names = [service_named(name).name for name in config.service]
+    return tuple(config.service[names.index(service.name) + 1 :]) if service.name in names else ()
 
 
 def risk_share(config: RtkReckoningConfig, declared: CodeServiceConfig) -> float:
@@ -127,6 +134,7 @@ def service_rules(declared: CodeServiceConfig, service: Service, config: RtkReck
         sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
         cn0_min=d.cn0_min_dbhz,
         max_hdop=d.max_hdop,
+        preference=config.services.preference,
         errors=errors.rules()[0],
         bias=d.code_bias_m,
         max_age=d.max_age_s,
@@ -275,7 +283,7 @@ class ServiceSet:
         if not self.active:
             return states
         inputs = {service.name: self._inputs(service, m) for service in self._coded}
-        shared: dict[str, Any] = {INPUTS: inputs, RANGES: self._ranges(states[OFFERED])}
+        shared: dict[str, Any] = {INPUTS: inputs, RANGES: self._ranges(states[OFFERED], states[LATEST])}
         if self._coupling:
             first = self._coded[0].name
             rules, modes = self._rules_of(first), self._tables[first].tables.prior.size
@@ -283,11 +291,14 @@ class ServiceSet:
             shared[PROPOSED] = proposals(*rules, states, modes)
         return {**states, **shared}
 
-    def _ranges(self, offered: NDArray[np.int64]) -> ServiceRows:
+    def _ranges(self, offered: NDArray[np.int64], latest: NDArray[np.int64]) -> ServiceRows:
         shape = offered.size, self._satellites
         y, variance, fast, odds = np.zeros((4, *shape))
         used, (due, consistent, few) = np.zeros(shape, np.bool_), np.zeros((3, shape[0]), np.bool_)
-        return ServiceRows(y, variance, fast, odds, used, due, consistent, few, np.zeros(shape[0], np.int64), offered)
+        return ServiceRows(
+            y, variance, fast, odds, used, due, consistent, few, np.zeros(shape[0], np.int64), offered, latest,
+            np.full(shape[0], np.inf),
+        )  # fmt: skip
 
     def _inputs(self, service: Service, m: Measurements) -> ServiceInputs:
         g, shape = m.gnss, m.gnss.tracked.shape

@@ -1,8 +1,9 @@
 """Table of the positioning services: those of S2 Table 1, and those that users register.
 
 A configuration names the services in their order of preference, ``service: [rtk, sbas_dfmc, spp]``. Each epoch takes
-the first one that has a position with a level below that of the position reckoned on; in between, Doppler and dead
-reckoning go on. A service is a record: its mode, the provider of its corrections, and how it combines the bands.
+the first one whose level is at most ``services.preference`` times that of those after it, if it is lower than that of
+the position reckoned on; in between, Doppler and dead reckoning go on. A service is a record: its mode, the provider of
+its corrections, and how it combines the bands.
 :func:`register_service` adds one from outside.
 """
 

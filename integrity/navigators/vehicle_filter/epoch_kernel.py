@@ -184,7 +184,7 @@ def _report(par: Any, filters: Filters, v: int, outcome: int, s: Scratch) -> Non
     trust = HTL_SIGMAS * major_axis(covariance[0, 0], covariance[1, 1], covariance[0, 1])
     find_levels(filters.cases, par.bounds, state, v, mean, heading, trust, out.levels[v])
     _widen(par, filters.cases, vehicle, out.levels[v])
-    posed = vehicle.known and vehicle.aligned
+    posed = vehicle.known and vehicle.aligned and math.isfinite(mean[0] + mean[1] + heading)
     ready = posed and vehicle.unconfirmed == 0
     if not ready:
         out.levels[v] = math.inf

@@ -28,6 +28,7 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings, place_vehicles
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
 from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
+from lanebound.integrity.sensors.finite import with_finite
 
 __all__ = ["FilterNavigator", "FilterReport", "blank_state", "fix_of", "run_filters"]
 
@@ -88,6 +89,7 @@ class FilterNavigator(Navigator):
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
+        m = with_finite(m)
         fix = locate_by_codes(self.config.position.codes, m)
         out = run_filters(self._parameters, self._cases, self.state.belief, _measured_of(m), fix_of(fix))
         self.report = FilterReport(out.trust, out.level_sbas, out.probability, out.nis, out.used, out.rejected)

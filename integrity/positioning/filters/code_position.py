@@ -234,7 +234,8 @@ def _in_time(config: CodePositionConfig, m: Measurements) -> Bools:
         return np.broadcast_to((m.gnss.corrections_age_s <= config.max_age_s)[:, None], m.gnss.tracked.shape)
     held = _held(m)
     fresh = (held.age_s <= config.sbas_max_age_s) & (held.zenith_age_s <= config.grid_max_age_s)
-    return np.asarray(fresh[:, None] & np.isfinite(held.declared_m))
+    there = np.isfinite(held.declared_m) & np.isfinite(held.satellite_m + held.zenith_m)
+    return np.asarray(fresh[:, None] & there)
 
 
 def _corrected(

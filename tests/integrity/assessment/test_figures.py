@@ -92,6 +92,27 @@ def test_a_drive_by_code_shows_the_modes_it_used_and_each_epoch_in_the_strip() -
     assert [path.get_extents().width for path in code.get_paths()] == pytest.approx([0.1] * 3)
 
 
+def test_a_drive_on_a_service_shows_it_and_is_grey_where_there_are_no_epochs() -> None:
+    time = np.array([0.0, 1.0, 2.0, 3.0, 200.0, 201.0])
+    mode, n = np.full(6, int(Mode.SPP)), 6
+    record = Record(time, mode, np.ones(n), np.ones(n), np.full(n, 9.0), np.full(n, 9.0), mode > 9, mode < 9)
+    figure = series_figure(record)
+    assert [axes.get_ylabel().split(",")[0] for axes in figure.axes[::2]] == ["all modes", Mode.SPP.label]
+    line = figure.axes[0].lines[0]
+    across = np.flatnonzero(np.diff(line.get_xdata()) > 1.0)  # from 3 s to 200 s
+    assert across.size == 1
+    assert np.isnan(line.get_ydata()[across[0] + 1])
+    strip = {
+        bars.get_facecolor()[0][:3].tobytes(): [tuple(p.get_extents().intervalx) for p in bars.get_paths()]
+        for bars in figure.axes[0].collections
+        if bars.get_paths() and bars.get_paths()[0].get_extents().y0 > 0.9
+    }
+    covered = sorted(strip.values(), key=len)
+    assert covered[0] == [pytest.approx((4.0 / 60.0, 200.0 / 60.0))]  # grey
+    assert covered[1] == [pytest.approx((0.0, 4.0 / 60.0)), pytest.approx((200.0 / 60.0, 201.0 / 60.0))]
+    assert "no solution" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
 @pytest.mark.parametrize(
     ("risk", "text"), [(None, ""), (1e-6, ", integrity risk $10^{-6}$"), (2e-5, ", integrity risk 2e-05")]
 )

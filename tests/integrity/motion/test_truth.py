@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import GRAVITY_MPS2
-from lanebound.integrity.motion.truth import truth_between
+from lanebound.integrity.motion.truth import Truth, truth_between
 
 RADIUS_M = 25.0
 
@@ -106,23 +106,25 @@ def test_body_increments_do_not_depend_on_where_north_is(rotation, seed):
     p1 = p0 + v1
     c, s = math.cos(rotation), math.sin(rotation)
     clockwise = np.array([[c, s], [-s, c]])  # azimuths grow by ``rotation``
-    plain = truth_between(1.0, 0.1, (p0, p1), (v0, v1), (h0, h1))
-    turned = truth_between(
+    place = np.zeros(4), np.zeros(4, np.int64)  # motion that no car can do, and that is not checked
+    plain = Truth.between(1.0, 0.1, (p0, p1), (v0, v1), (h0, h1), *place)
+    turned = Truth.between(
         1.0,
         0.1,
         (p0 @ clockwise.T, p1 @ clockwise.T),
         (v0 @ clockwise.T, v1 @ clockwise.T),
         (h0 + rotation, h1 + rotation),
+        *place,
     )
     for name in ("delta_theta_rad", "delta_v_mps", "distance_m"):
         np.testing.assert_allclose(getattr(turned, name), getattr(plain, name), atol=1e-9)
 
 
 def test_fields_hold_the_end_of_the_epoch():
-    p, v = (np.zeros((2, 2)), np.array([[1.0, 2.0], [3.0, 4.0]])), (np.ones((2, 2)), np.full((2, 2), 2.0))
+    p, v = (np.zeros((2, 2)), np.array([[0.1, 0.2], [0.3, 0.4]])), (np.ones((2, 2)), np.full((2, 2), 2.0))
     truth = truth_between(7, 0.1, p, v, ([0.0, 0.0], [0.1, 0.2]), arc_m=[5.0, 6.0], lane=1)
     assert (truth.batch, truth.time_s, truth.dt_s) == (2, 7.0, 0.1)
-    np.testing.assert_array_equal(truth.position_enu_m, [[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]])
+    np.testing.assert_array_equal(truth.position_enu_m, [[0.1, 0.2, 0.0], [0.3, 0.4, 0.0]])
     np.testing.assert_array_equal(truth.velocity_enu_mps, [[2.0, 2.0, 0.0], [2.0, 2.0, 0.0]])
     np.testing.assert_allclose(truth.heading_rad, [0.1, 0.2])
     np.testing.assert_array_equal(truth.arc_m, [5.0, 6.0])
@@ -151,6 +153,36 @@ def test_unusable_input_is_refused_by_name(changes, message):
     arguments = {"time_s": 0.0, "dt_s": 0.1, "position_m": zeros, "velocity_mps": zeros, "heading_rad": (0.0, 0.0)}
     with pytest.raises(InputError, match=message):
         truth_between(**(arguments | changes))
+
+
+@pytest.mark.parametrize(
+    ("moved", "velocity", "heading", "message"),
+    [
+        ([0.0, 100.0], [0.0, 10.0], 0.0, r"position_m must move by .* within 1.10 m, got 100.00 m at 10.00 m/s"),
+        ([0.0, 1.0], [0.0, 36.0], 0.0, r"position_m must move by"),  # km/h in place of m/s
+        (
+            [0.0, 1.0],
+            [0.0, 10.0],
+            90.0,
+            r"heading_rad must lie within 60 degrees .* got 90.00 rad with a course of 0.00",
+        ),
+        ([1.0, 0.0], [10.0, 0.0], 0.0, r"heading_rad must lie within"),  # an angle from East
+        ([0.0, 1.0], [0.0, 10.0], 0.5, ""),
+        ([0.0, -1.0], [0.0, -10.0], 0.1, ""),  # in reverse
+        ([0.0, 0.0], [2.0, 0.0], 0.0, ""),  # too slow to have a course
+    ],
+)
+def test_motion_that_contradicts_itself_is_refused(moved, velocity, heading, message):
+    own = {
+        "position_m": ([[0.0, 0.0]], [moved]),
+        "velocity_mps": ([velocity], [velocity]),
+        "heading_rad": (heading,) * 2,
+    }
+    if message:
+        with pytest.raises(InputError, match=message):
+            truth_between(0.1, 0.1, **own)
+    else:
+        assert truth_between(0.1, 0.1, **own).batch == 1
 
 
 @pytest.mark.parametrize(("forward_m", "right_m"), [(1.5, 0.0), (0.0, -1.0), (2.0, 0.7)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
-from lanebound.integrity.navigators.services.stage import band_shares
+from lanebound.integrity.navigators.services.fix_kernel import takes
+from lanebound.integrity.navigators.services.stage import band_shares, service_tables
 from lanebound.integrity.navigators.services.table import SERVICES
 from lanebound.integrity.navigators.services.zenith_kernel import zenith_of_epoch
 from lanebound.integrity.positioning.code_errors_kernel import troposphere_slant
@@ -211,3 +213,35 @@ def test_what_cannot_be_is_refused() -> None:
 def test_a_drift_watch_whose_alarms_do_nothing_is_refused():
     with pytest.raises(ConfigError, match=r"jump_quarantine_s must be larger than 0 with the drift watch, got 0"):
         NavigatorConfig.load({"positioning": {"rtk": {"jump_quarantine_s": 0.0, "drift": {"window_s": 16.0}}}})
+
+
+def _takes(level: float, reckoned: float, latest: Mode, found_before: float = np.inf, preference: float = 2.0) -> bool:
+    """Whether DFMC of [ppp, sbas_dfmc, spp] takes a position, with levels [m] of the same size on both axes."""
+    config = NavigatorConfig.preset("services/ppp").replace(services={"preference": preference})
+    system = np.array([0, 1], np.int64)
+    service = service_tables(config, SERVICES["sbas_dfmc"], system)  # type: ignore[arg-type]
+    assert service.later.tolist() == [int(Mode.SPP)]
+    rows = SimpleNamespace(latest=np.array([int(latest)]), least=np.array([2.0 * found_before**2]))
+    taken = takes.py_func(0, np.full((1, 2), level), np.full((1, 2), reckoned), service, rows)
+    assert rows.least[0] == pytest.approx(2.0 * min(level, found_before) ** 2)
+    return bool(taken)
+
+
+def test_a_more_preferred_service_is_taken_up_to_twice_the_level_and_no_further() -> None:
+    assert _takes(5.0, 6.0, Mode.SBAS_DFMC)
+    assert not _takes(6.0, 5.0, Mode.SBAS_DFMC)  # its own position, moved on, is better
+    assert not _takes(6.0, 5.0, Mode.DOPPLER)
+    assert _takes(6.0, 5.0, Mode.SPP)  # that of SPP, moved on
+    assert not _takes(11.0, 5.0, Mode.SPP)
+    assert not _takes(6.0, 5.0, Mode.SPP, preference=1.0)
+    assert not _takes(5.0, 30.0, Mode.PPP, found_before=8.0)  # PPP has found a position in this epoch
+    assert _takes(5.0, 30.0, Mode.PPP, found_before=11.0)
+    assert _takes(5.0, np.inf, Mode.PPP)
+
+
+def test_ppp_on_l1_and_l2_positions_as_well() -> None:
+    """The bands of the default receiver are free of the ionosphere together, too."""
+    found = _drive(NavigatorConfig(service="ppp"), 4, 200, sigma_m=10.0)
+    assert (found["mode"][20:] == int(Mode.PPP)).mean() > 0.9
+    assert (np.abs(found["error"]) <= found["level"]).all()
+    assert np.sqrt(np.mean(np.square(found["error"][100:]))) < 0.5

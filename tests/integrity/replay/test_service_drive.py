@@ -17,6 +17,7 @@ from lanebound.integrity.recorded.smartloc import Odometry
 from lanebound.integrity.replay.datasets import replay_folder
 from lanebound.integrity.replay.service_drive import ServiceDrive, config_of, drive_service, require_possible
 from lanebound.integrity.replay.service_epochs import ServiceEpochs, StationCorrections
+from lanebound.integrity.replay.service_report import status_of, summarise_service
 from lanebound.integrity.sky.systems import System
 
 DT_S = 0.1
@@ -106,6 +107,25 @@ def test_corrections_of_a_station_take_common_errors_away() -> None:
     assert (drive.mode == Mode.DGPS).all()
     old = _driven(replace(bad, station=replace(found, age_s=np.full(150, 40.0))), ["dgps"])
     assert (old.mode == Mode.NONE).all()  # older than services.dgps.max_age_s
+
+
+def test_a_position_whose_risk_is_too_large_is_kept_without_a_level() -> None:
+    """A fault of all Galileo satellites leaves too few GPS satellites: no level, but the position is judged."""
+    plain = _recording(odometry=False)
+    gps = np.flatnonzero(plain.system == int(System.GPS))
+    tracked = plain.tracked.copy()
+    tracked[:, gps[3:]] = False
+    drive = _driven(replace(plain, tracked=tracked), ["spp"])
+    assert (drive.mode == Mode.SPP).all()
+    assert np.isinf(drive.pl_m).any(-1).all()
+    assert np.hypot(*drive.errors_en_m().T).max() < 1e-3
+    assert not drive.available.any()
+    assert drive.alert.all()
+    found = summarise_service(drive)
+    assert (found["no_level"], found["no_position"], found["judged"]) == (1.0, 0.0, 150)
+    assert {status_of(drive, n) for n in range(150)} == {"no level"}
+    dark = _driven(replace(plain, tracked=tracked & (plain.time_s < 10.0)[:, None]), ["spp"])
+    assert summarise_service(dark)["no_position"] == pytest.approx(2.0 / 3.0, abs=0.02)
 
 
 @pytest.mark.parametrize(

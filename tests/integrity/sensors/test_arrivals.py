@@ -43,8 +43,8 @@ def reception(
 
 
 def truth(x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Truth:
-    p, v, zero = np.array([[x, y]]), np.array([[vx, vy]]), np.zeros(1)
-    return truth_between(DT, DT, (p - v * DT, p), (v, v), (zero, zero))
+    p, v, heading = np.array([[x, y]]), np.array([[vx, vy]]), np.array([np.arctan2(vx, vy)])
+    return truth_between(DT, DT, (p - v * DT, p), (v, v), (heading, heading))
 
 
 def errors(receiver: _Receiver, epoch: GnssEpoch, where: Truth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,7 +19,8 @@ def test_errors_have_their_variance_and_the_declared_one_bounds_it(speed: float,
     state, dt = initial_barometer(config, streams), time_s / 20.0
     velocity, position = np.tile([0.0, speed], (batch, 1)), np.zeros((batch, 2))
     for k in range(20):
-        truth = truth_between(dt * (k + 1), dt, (position, position), (velocity, velocity), (np.zeros(batch),) * 2)
+        places = position + dt * k * velocity, position + dt * (k + 1) * velocity
+        truth = truth_between(dt * (k + 1), dt, places, (velocity, velocity), (np.zeros(batch),) * 2)
         height = sample_barometer(config, state, truth, streams).height_m
     error = height - truth.position_enu_m[:, 2]
     weather = config.weather_m**2 * (1.0 - np.exp(-2.0 * time_s / config.weather_tau_s))

@@ -56,7 +56,7 @@ def _truth(
     batch: int = 1, position: tuple[float, float] = (3.0, -4.0), velocity: tuple[float, float] = (0.0, 0.0)
 ) -> Truth:
     p, v = np.tile(position, (batch, 1)), np.tile(velocity, (batch, 1))
-    heading = np.zeros(batch)
+    heading = np.arctan2(*v.T)
     return truth_between(DT, DT, (p - v * DT, p), (v, v), (heading, heading))
 
 
