@@ -1,4 +1,6 @@
-"""How often a carrier that RTK holds is tracked on a reflection: ``python tests/helpers/reflected_holds.py urban dense``.
+"""How often a carrier that RTK holds is tracked on a reflection.
+
+    .venv/bin/python tests/helpers/reflected_holds.py urban dense --streets 2
 
 Streets and vehicles are those of ``lanebound assess bounding --in-the-loop``. Counts the epochs in mode RTK by the
 number of held satellites whose receiver tracks a reflection and not the direct or diffracted ray, and those among them
