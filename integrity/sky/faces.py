@@ -103,8 +103,8 @@ def _merged(
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Indices of distinct figures in place of ``found``, -1 for none, and the figures (n, ...) of each."""
     used, which = np.unique(found, return_inverse=True)
-    which, used = which.reshape(found.shape) - int(np.sum(used < 0)), used[used >= 0].astype(np.int64)
-    each = figures(used)
+    which, known = which.reshape(found.shape) - int(np.sum(used < 0)), used[used >= 0].astype(np.int64)
+    each = figures(known)
     _, first, alike = np.unique(np.round(each / ALIKE), axis=0, return_index=True, return_inverse=True)
     return np.append(alike.reshape(-1), -1).astype(np.int32)[which], each[first]
 
