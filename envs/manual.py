@@ -123,7 +123,8 @@ A kind of your own is a `FaultKind` (`lanebound.integrity.sensors.fault_kinds`),
 | `band` | None | band of a cycle slip, 0 or 1; None: both |
 | `vehicle` | None | 0: the ego; 1 and more: other vehicles; None: all |
 | `azimuth_deg` | 90 | direction of a displacement, or side of the sky of `nlos_burst`, clockwise from North |
-| `satellites` | 4 | number of satellites that `nlos_burst` strikes |
+| `satellites`, `loss_db` | 4, 6 | number of satellites that `nlos_burst` strikes, and their loss of C/N0 |
+| `integers` | [] | errors of `wrong_fix` by satellite: `[system, prn, cycles of band 1, cycles of band 2]` |
 | `magnitude` | 0 | size of a kind of your own, in the unit of its `Magnitude`, if that names no other field |
 
 ## Many environments at once

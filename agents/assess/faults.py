@@ -94,6 +94,7 @@ class FaultCase:
     size: float
     duration_s: float
     profile: Profile
+    more: tuple[tuple[str, float], ...] = ()
 
     @property
     def declaration(self) -> FaultKind:
@@ -103,7 +104,12 @@ class FaultCase:
     @property
     def name(self) -> str:
         """Name of its part."""
-        return f"{self.kind}-{self.size:g}-{self.duration_s:g}s-{self.profile}"
+        return "-".join(
+            [
+                f"{self.kind}-{self.size:g}-{self.duration_s:g}s-{self.profile}",
+                *(f"{field}={value:g}" for field, value in self.more),
+            ]
+        )
 
     @property
     def ramp_s(self) -> float:
@@ -112,11 +118,12 @@ class FaultCase:
 
 
 def cells_of(config: FaultsConfig) -> list[FaultCase]:
-    """Every kind x size x length x profile; a kind without a magnitude has the size 0."""
+    """Every kind x size x further fields x length x profile; a kind without a magnitude has the size 0."""
     return [
-        FaultCase(kind.name, size, duration, profile)
+        FaultCase(kind.name, size, duration, profile, tuple(more.items()))
         for kind in map(fault_kind, config.kinds)
         for size in kind.sizes_tried or (0.0,)
+        for more in kind.tried_with
         for duration in config.durations_s
         for profile in kind.profiles
     ]
@@ -207,7 +214,12 @@ def work_cell(config: FaultsConfig, cell: FaultCase) -> dict[str, Any]:
         faulty = drive_run(config.navigator, _seeds(config), duration, faults)
     limits = config.navigator.alert.limits
     found = measure_response(faulty, sound, onset, cell.duration_s, (limits.al_at_m, limits.al_ct_m))
-    place = asdict(cell) | {"unit": kind.unit, "ramp_s": cell.ramp_s, "in_blackout": bool(dark)}
+    place = asdict(cell) | {
+        "more": dict(cell.more),
+        "unit": kind.unit,
+        "ramp_s": cell.ramp_s,
+        "in_blackout": bool(dark),
+    }
     return place | _summed(found, config.navigator.alert.time_to_alert_s)
 
 
@@ -235,7 +247,7 @@ def _fault(cell: FaultCase, row: int, onset_s: float, sky: Any, high: np.ndarray
     kind = cell.declaration
     data: dict[str, Any] = {
         "kind": kind.name, "start_s": onset_s, "duration_s": cell.duration_s, "profile": cell.profile,
-        "ramp_s": cell.ramp_s, "vehicle": row, "azimuth_deg": 67.0 * row % 360.0,
+        "ramp_s": cell.ramp_s, "vehicle": row, "azimuth_deg": 67.0 * row % 360.0, **dict(cell.more),
     }  # fmt: skip
     if kind.magnitude is not None:
         data[kind.magnitude.field] = cell.size

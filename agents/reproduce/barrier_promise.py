@@ -49,7 +49,7 @@ FAULTS = (
     ("wheel_slip", 0.05, 0.5),
     ("odometer_frozen", 0.0, 0.0),
     ("v2v_lie", 1.0, 20.0),
-    ("wrong_fix", 0.1, 2.0),
+    ("wrong_fix", 1, 20),
     ("nlos_burst", 5.0, 60.0),
 )
 """Kinds with their smallest and largest sizes; those of sensors/fault_priors_stress have the sizes that it has."""

@@ -101,7 +101,7 @@ class RtkStages:
         measured = Measured(
             np.zeros((1, n, 3)), np.zeros(1, np.int64), np.zeros((1, n), np.bool_), np.zeros((1, n)),
             np.zeros((1, n, 2)), np.zeros((1, n, 2)), np.zeros((1, n)), np.zeros((1, n), np.bool_), np.zeros(1),
-            np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1), np.zeros((1, n, 2), np.int64),
+            np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1), np.zeros((1, n, 2), np.int64), np.zeros((1, 2)),
         )  # fmt: skip
         self._lasting, self._inputs = Bundle(Lasting(parameters, tables, state, work, out)), EpochInputs(measured)
         self._stages = Chain(Epoch, *carrier_stages(rtk), find_fixed_position)

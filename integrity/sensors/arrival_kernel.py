@@ -1,7 +1,7 @@
 """How the signal of one satellite arrives: direct or diffracted, and by reflections; and what a receiver makes of it.
 
 Letters: ``e`` unit vector to the satellite, ``x`` antenna [m] and ``v`` its velocity [m/s], all in the frame of the
-street; ``n . x = c`` the plane of a face.
+street; ``n . x = c`` the plane of a face; ``p`` a point and ``t`` the direction of the line of an edge.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from lanebound.integrity.sensors.multipath_kernel import (
 from lanebound.integrity.sky.propagation_kernel import (
     antenna_amplitude,
     diffraction_loss_db,
+    edge_detour,
     excess_path,
     excess_rate,
     fresnel_parameter,
@@ -51,7 +52,6 @@ NOTHING, DIRECT = -2.0, -1.0  # values of TRACKED.arrival beside indices of face
 UNKNOWN_FACE = -0.5  # a reflection whose face is not known
 CELL_RAD = 0.06  # the mask says 'free' or 'blocked' for a cell of 3 degrees: so near the edge decides
 MOST_LOSS_DB = 30.0  # of a diffracted ray that is followed
-ZENITH = 0.5 * math.pi - 1e-6  # a skyline here is a roof overhead
 
 PATH_RULES = record(
     permittivity=("c16", (MATERIALS,), "of the materials, complex and relative [-]"),
@@ -75,6 +75,7 @@ TRACKED = record(
     carrier=("f8", (BANDS,), "delay of the carrier that the loop follows, by band [m]"),
     sources=("f8", (MOST_ARRIVALS,), "all arrivals of the last epoch, as arrival"),
     excess=("f8", (MOST_ARRIVALS,), "their extra paths [m]"),
+    edge=("i8", "index of the edge that the direct ray of the last epoch passed, -1 for none"),
 )
 """What lasts of a satellite's arrival from epoch to epoch."""
 
@@ -106,38 +107,24 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _edge_loss_db(elevation, skyline, edge, clear, wavelength):  # type: ignore[no-untyped-def]
-    """Loss [dB] of the ray over the edge of the skyline, inf where it is blocked; and whether it goes over that edge.
-
-    The mask says free (``clear``) or blocked for a whole cell; within a cell of the edge the skyline itself decides.
-    """
-    above = skyline - elevation
-    if skyline < 0.0 or skyline >= ZENITH:
-        return (0.0 if clear else math.inf), False
-    if clear and above > CELL_RAD:
-        return 0.0, False  # below a bridge: the edge above is not that of this ray
-    return diffraction_loss_db(fresnel_parameter(above, edge, wavelength)), True
-
-
-@jit(borrows=True)
-def _add_direct(rules, path, skyline, edge, way, fluctuation, wavelength, arrival):  # type: ignore[no-untyped-def]
+def _add_direct(rules, path, edges, edge, way, fluctuation, wavelength, arrival):  # type: ignore[no-untyped-def]
     """Fill the arrival of the direct or diffracted ray; its kind, BLOCKED for none.
 
-    Beyond the edge the ray comes from the edge: detour ``d angle^2 / 2``, rate ``(e - e_edge) . v``.
+    The mask says free or blocked for a whole cell; within a cell of its edge the line of the edge decides.
     """
     clear = path == LOS or path == FOLIAGE
-    loss, over = _edge_loss_db(way.elevation, skyline, edge, clear, wavelength)
-    if loss > MOST_LOSS_DB:
-        return BLOCKED
-    kind = path if clear else LOS
-    above = skyline - way.elevation
+    kind, loss = (path, 0.0) if clear else (BLOCKED, 0.0)
     arrival.excess_m = arrival.rate_mps = arrival.phase_rad = 0.0
-    if over and above > 0.0:
-        kind = DIFFRACTED
-        flat, here = math.cos(skyline) / max(math.cos(way.elevation), 1e-9), way.e
-        from_edge = here[0] * flat, here[1] * flat, math.sin(skyline)
-        arrival.excess_m = 0.5 * edge * above * above
-        arrival.rate_mps = _dot(here, way.v) - _dot(from_edge, way.v)
+    if edge >= 0:
+        line = edges[edge]
+        below, excess, rate = edge_detour(way.e, line.along, line.point, way.x, way.v)
+        if abs(below) <= CELL_RAD or (below > 0.0) != clear:
+            kind = path if clear else LOS
+            loss = diffraction_loss_db(math.copysign(fresnel_parameter(excess, wavelength), below))
+            if loss > MOST_LOSS_DB:
+                return BLOCKED
+            if below > 0.0:
+                kind, arrival.excess_m, arrival.rate_mps = DIFFRACTED, excess, rate
     if path == FOLIAGE:
         loss += rules.foliage_loss - 2.0 * fluctuation  # with cn0_sigma of the receiver: tripled below trees
     arrival.amplitude = 10.0 ** (-0.05 * loss) if loss != 0.0 else 1.0
@@ -170,9 +157,8 @@ def find_arrivals(rules, reception, v, s, way, fluctuation, wavelength, arrivals
     reception of ReceptionRows, way of SignalGeometry. A reflection at an unknown face keeps the excess of the mask.
     """
     path = reception.path[v, s]
-    kind = _add_direct(
-        rules, path, reception.skyline[v, s], reception.edge[v, s], way, fluctuation, wavelength, arrivals[0]
-    )
+    edge = reception.edge[v, s]
+    kind = _add_direct(rules, path, reception.edges, edge, way, fluctuation, wavelength, arrivals[0])
     count = 0
     if kind != BLOCKED:
         sources[0], count = DIRECT, 1
@@ -190,31 +176,38 @@ def find_arrivals(rules, reception, v, s, way, fluctuation, wavelength, arrivals
 
 
 @jit(borrows=True)
-def _recall(memory, arrivals, sources, count):  # type: ignore[no-untyped-def]
-    """Set the extra paths of the last epoch in the arrivals, and remember the present ones."""
+def _recall(memory, arrivals, sources, count, edge):  # type: ignore[no-untyped-def]
+    """Set the extra paths of the last epoch in the arrivals, and remember the present ones.
+
+    A ray over another edge than in the last epoch is a new arrival: its path has no past.
+    """
     for i in range(count):
         arrivals[i].before_m = arrivals[i].excess_m
+        if sources[i] == DIRECT and memory.edge != edge:
+            continue
         for k in range(MOST_ARRIVALS):
             if memory.arrival != NOTHING and memory.sources[k] == sources[i]:
                 arrivals[i].before_m = memory.excess[k]
+    memory.edge = edge
     for i in range(MOST_ARRIVALS):
         memory.sources[i], memory.excess[i] = (sources[i], arrivals[i].excess_m) if i < count else (NOTHING, 0.0)
 
 
 @jit(borrows=True, forceinline=True)
-def track(rules, band, count, work, v, chance, bands, memory):  # type: ignore[no-untyped-def]
+def track(rules, band, count, work, v, edge, chance, bands, memory):  # type: ignore[no-untyped-def]
     """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate,
     and the present power over that of an unobstructed signal [dB].
 
-    band: wavelength and chip [m], (2,) each; ``work`` of vehicle v gets the errors of code and carrier by band. When
-    another arrival becomes the strongest, the lock is kept with probability ``rules.keep_lock`` (``chance``, a uniform
-    draw): the loop follows the phase of the sum. Otherwise the receiver notices.
+    band: wavelength and chip [m], (2,) each; ``work`` of vehicle v gets the errors of code and carrier by band; edge
+    of the direct ray, -1 for none. When another arrival becomes the strongest, the lock is kept with probability
+    ``rules.keep_lock`` (``chance``, a uniform draw): the loop follows the phase of the sum. Otherwise the receiver
+    notices.
     """
     arrivals, sources = work.arrivals[v], work.sources[v]
     r = strongest_of(arrivals, count)
     old, rate, fade = memory.arrival, 0.0, 0.0
     broken = old != NOTHING and old != sources[r] and chance >= rules.keep_lock
-    _recall(memory, arrivals, sources, count)
+    _recall(memory, arrivals, sources, count, edge)
     memory.arrival = sources[r]
     for b in range(bands):
         loops = Loops(band[0][b], band[1][b], rules.spacing, rules.code_loop, rules.carrier_loop)

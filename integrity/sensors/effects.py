@@ -26,6 +26,8 @@ class FaultEffects:
     cn0_drop_db : (B, S) subtracted from the carrier-to-noise density (jamming)
     slip_cycles : (B, S, 2) int64, jump of the ambiguity in this epoch, which the receiver does not detect
     integer_error : (B, S, 2) int64, cycles by which the integers are wrong that positioning fixes and accepts
+    next_best : (B, 2) rank of the wrong integers that positioning accepts (:mod:`.wrong_fix_kernel`), 0 for none, and
+        azimuth of the displacement that they mean [rad]
     spoof_enu_m : (B, 3) displacement of the position that the signals describe
     reference_enu_m : (B, 3) error of the reference coordinates, by which RTK positions move
     corrections_lost : (B,) bool, the reference link is cut
@@ -42,6 +44,7 @@ class FaultEffects:
     cn0_drop_db: Array
     slip_cycles: NDArray[np.int64]
     integer_error: NDArray[np.int64]
+    next_best: Array
     spoof_enu_m: Array
     reference_enu_m: Array
     corrections_lost: NDArray[np.bool_]
@@ -75,6 +78,7 @@ class FaultEffects:
             cn0_drop_db=np.zeros((b, s)),
             slip_cycles=np.zeros((b, s, 2), dtype=np.int64),
             integer_error=np.zeros((b, s, 2), dtype=np.int64),
+            next_best=np.zeros((b, 2)),
             spoof_enu_m=np.zeros((b, 3)),
             reference_enu_m=np.zeros((b, 3)),
             corrections_lost=np.zeros(b, dtype=np.bool_),

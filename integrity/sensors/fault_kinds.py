@@ -6,7 +6,7 @@ A kind of your own is a :class:`FaultKind` with an effect function, given to
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Literal, Self
@@ -27,7 +27,8 @@ __all__ = ["MAGNITUDE_FIELDS", "FaultKind", "FaultMoment", "FaultPrior", "FaultT
 
 Profile = Literal["step", "ramp"]
 MAGNITUDE_FIELDS = (
-    "magnitude", "magnitude_m", "magnitude_cycles", "magnitude_db", "magnitude_degps", "magnitude_ratio",
+    "magnitude", "magnitude_m", "magnitude_cycles", "magnitude_rank", "magnitude_db", "magnitude_degps",
+    "magnitude_ratio",
 )  # fmt: skip
 """Fields of a fault that hold a magnitude; the first has no unit of its own."""
 PLACES = ("system", "prn", "band", "vehicle")  # fields of a fault that are None by default
@@ -171,6 +172,8 @@ class FaultKind:
     profiles : time profiles; a kind without "ramp" has its whole size at once, whatever the profile of the fault
     needs : fields of a fault that must be given, of ``system``, ``prn``, ``band`` and ``vehicle``
     sizes_tried : sizes in the fault campaign, in the unit of the first magnitude
+    tried_with : further fields of a fault, with each of which the fault campaign tries each size
+    lists_integers : errors of integers may be given by satellite, in place of a magnitude
     not_tried_because : reason why the fault campaign omits the kind
     in_blackout : the fault campaign tries the kind without satellites, because with satellites it has no effect
     broadcast : the fault changes what a vehicle broadcasts; the fault campaign judges what the receivers believe
@@ -191,6 +194,8 @@ class FaultKind:
     profiles: tuple[Profile, ...] = ("step", "ramp")
     needs: tuple[str, ...] = ()
     sizes_tried: tuple[float, ...] = ()
+    tried_with: tuple[Mapping[str, float], ...] = ({},)
+    lists_integers: bool = False
     not_tried_because: str = ""
     in_blackout: bool = False
     broadcast: bool = False

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.fault_kinds import FaultKind, FaultMoment, FaultPrior, FaultTarget, Magnitude
-from lanebound.integrity.sky.systems import WAVELENGTH_M
 
 __all__ = ["FAULT_TABLE"]
 
 Array = NDArray[np.float64]
 BURST_FROM_RAD = math.radians(10.0)  # lowest elevation of the satellites of a burst; receivers use those above
+MOST_RANK = 100  # of a wrong candidate of integers: the search gets slow
 LEAST_FACING = 1e-9  # e.n of a satellite that a facade reflects: beyond rounding
-BURST_LOSS_DB = 6.0  # of a strong reflection: right-handed to left-handed signals at a patch antenna, metal
 
 
 def _satellite_range(effects: FaultEffects, now: FaultMoment) -> None:
@@ -88,14 +87,15 @@ def _v2v_lie(effects: FaultEffects, now: FaultMoment) -> None:
 
 
 def _wrong_fix(effects: FaultEffects, now: FaultMoment) -> None:
-    """Integers are wrong by the cycles given, or by those that move the position by about a displacement d.
+    """Integers are those of a wrong candidate, of its rank by fit, or wrong by the cycles given.
 
-    The cycles are ``e.d / lambda``, rounded: positioning subtracts them, and ``phase = -e.x`` then gives ``x + d``.
-    Up to half a cycle of each satellite remains as a residual.
+    Positioning subtracts the cycles. It finds the candidate itself, because that depends on the satellites it holds.
     """
-    cycles = (now.sky.los_enu @ _displacement_m(now))[..., None] / WAVELENGTH_M[now.sky.system, :2]
-    effects.integer_error[now.rows] += np.round(cycles).astype(np.int64)[now.sky.index[now.rows]]
+    if now.fault.magnitude_rank:
+        effects.next_best[now.rows] = now.fault.magnitude_rank, math.radians(now.fault.azimuth_deg)
     effects.integer_error[now.rows] += now.fault.magnitude_cycles * now.satellites[:, None]
+    for system, prn, *cycles in now.fault.integers:
+        effects.integer_error[now.rows, (now.sky.system == system) & (now.sky.prn == prn)] += np.array(cycles)
 
 
 def _nlos_burst(effects: FaultEffects, now: FaultMoment) -> None:
@@ -116,7 +116,7 @@ def _nlos_burst(effects: FaultEffects, now: FaultMoment) -> None:
         effects.code_bias_m[where] += now.level * twice_m
         effects.phase_bias_m[where] += (now.level - now.fault.level(now.fault.start_s)) * twice_m
         effects.range_rate_bias_mps[where] += now.growth_per_s * twice_m
-        effects.cn0_drop_db[where] += BURST_LOSS_DB
+        effects.cn0_drop_db[where] += now.fault.loss_db
 
 
 def _displacement_m(now: FaultMoment) -> Array:
@@ -240,12 +240,17 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="wrong_fix",
-        summary="the integers that RTK fixes: off by cycles, or by those of a displacement towards the azimuth",
+        summary="the integers that RTK fixes: those of the wrong candidate of a rank by fit, which moves the position "
+        "to the side of the azimuth; or off by cycles, of satellites named or in `integers`",
         apply=_wrong_fix,
-        magnitudes=(METRES, Magnitude("cycles", "magnitude_cycles", whole=True)),
+        magnitudes=(
+            Magnitude("rank", "magnitude_rank", ge=1, le=MOST_RANK, signed=False, whole=True),
+            Magnitude("cycles", "magnitude_cycles", whole=True),
+        ),
+        lists_integers=True,
         profiles=("step",),
-        sizes_tried=(0.2, 0.5, 2.0),
-        prior=FaultPrior(per_h=0.0, median_s=10.0, low=0.1, high=2.0, ramp_share=0.0),
+        sizes_tried=(1, 2, 5, 20),
+        prior=FaultPrior(per_h=0.0, median_s=10.0, low=1, high=20, ramp_share=0.0),
         prior_source="never: the navigator spends a tenth of its risk on them; a city drive by RTKLIB has 6 % of fixes",
     ),
     FaultKind(
@@ -255,6 +260,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
         apply=_nlos_burst,
         magnitudes=(Magnitude("m", "magnitude_m", gt=0.0, signed=False),),
         sizes_tried=(5.0, 20.0, 60.0),
+        tried_with=({"loss_db": 2.0}, {"loss_db": 4.0}, {}),
         prior=FaultPrior(per_h=0.0, median_s=10.0, low=5.0, high=60.0),
         prior_source="never: in streets the ray casting gives reflections; several at once are frequent there",
     ),

@@ -61,11 +61,18 @@ class Fault(Config):
         90.0, description="direction of a displacement, or side of the sky of nlos_burst, clockwise from North [deg]"
     )
     satellites: int = Field(4, ge=1, description="number of satellites that nlos_burst strikes")
+    loss_db: float = Field(
+        6.0, ge=0, description="loss of nlos_burst [dB]; 6: right- to left-handed signals at a patch antenna, metal"
+    )
+    integers: tuple[tuple[System, int, int, int], ...] = Field(
+        (), description="errors of wrong_fix by satellite: system, number, cycles of the first and the second band"
+    )
     magnitude: float = Field(0.0, description="size of a kind whose unit has no field here, in the unit of the kind")
     magnitude_m: float = Field(
         0.0, description="range error, displacement towards the azimuth, or twice the distance of a facade [m]"
     )
     magnitude_cycles: int = Field(0, description="size of a cycle slip, or error of an integer [cycles]")
+    magnitude_rank: int = Field(0, description="rank by fit of the wrong integers that are accepted; 1: second best")
     magnitude_db: float = Field(0.0, description="loss of C/N0 by jamming [dB]")
     magnitude_degps: float = Field(0.0, description="yaw gyro bias, positive clockwise [deg/s]")
     magnitude_ratio: float = Field(
@@ -81,7 +88,9 @@ class Fault(Config):
                 raise ValueError(f"{kind.name} has no {name}: {_remedy(of)}")
             if not of[name].admits(value):
                 raise ValueError(f"{name} must be {of[name].bounds}, got {value}: correct that value")
-        if of and not given:
+        if self.integers and not kind.lists_integers:
+            raise ValueError(f"{kind.name} has no integers: {_remedy(of)}")
+        if of and not given and not self.integers:
             raise ValueError(f"{kind.name} needs {' or '.join(of)} other than 0: {_remedy(of)}")
         for name in kind.needs:
             if getattr(self, name) is None:

@@ -57,6 +57,8 @@ class GnssEpoch:
         (:mod:`.broadcast`): ``-e.x`` relative to the true origin, receiver clock, errors; None unless
         ``gnss.undifferenced``. ``range_rate_mps`` is undifferenced in any case.
     integer_error : (B, S, 2) cycles by which a fault makes the integers wrong that positioning fixes; None: no faults
+    next_best : (B, 2) rank of the wrong integers that it accepts instead, and their azimuth
+        (:class:`.effects.FaultEffects`); None: no faults
     corrections : what the receiver holds of each provider of ``gnss.augmentation.providers``, by name
     """
 
@@ -70,6 +72,7 @@ class GnssEpoch:
     raw_code_m: Array | None = None
     raw_phase_m: Array | None = None
     integer_error: NDArray[np.int64] | None = None
+    next_best: Array | None = None
     corrections: Mapping[str, Corrections] | None = None
 
 
@@ -443,7 +446,7 @@ def gnss_epoch(out: gk.GnssOutputs, effects: FaultEffects) -> GnssEpoch:
     """The filled outputs, and the faults of what positioning makes of them."""
     return GnssEpoch(
         out.tracked, out.code, out.phase, out.range_rate, out.cn0, out.lock_lost, out.age,
-        integer_error=effects.integer_error,
+        integer_error=effects.integer_error, next_best=effects.next_best,
     )  # fmt: skip
 
 

@@ -414,7 +414,8 @@ def by_paths(receivers, reception, v, s, way, system, u):  # type: ignore[no-unt
         reception.path[v, s] = BLOCKED
         return False, False, 0.0, 0.0
     bands = rules.wavelength[system], rules.chip[system]
-    broken, strongest, rate, fade = track(rules.paths, bands, count, work, v, digits(u.slip, 1e4), rules.bands, memory)
+    edge, chance = reception.edge[v, s], digits(u.slip, 1e4)
+    broken, strongest, rate, fade = track(rules.paths, bands, count, work, v, edge, chance, rules.bands, memory)
     if work.sources[v, strongest] != DIRECT:
         reception.path[v, s] = REFLECTED
     else:

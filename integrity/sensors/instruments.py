@@ -222,7 +222,7 @@ class Instruments:
                 imu_normals=imu_normals.reshape(batch, -1),
             ),
             mask=mask.rows,
-            reception=blank_reception(batch, satellites, mask.faces.table),
+            reception=blank_reception(batch, satellites, mask.faces),
             link=LinkRows(
                 self.link_rules, s.area.network.rows, signals.message, s.corrections.links, s.corrections.held, uniform,
                 normal,

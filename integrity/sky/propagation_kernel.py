@@ -1,8 +1,8 @@
 """Reflection and diffraction of a satellite signal: directions, extra path, and how much of the amplitude is left.
 
 Letters: ``e`` unit vector from the antenna to the satellite, ``n`` outward unit normal of a face, ``d`` distance of the
-antenna in front of the face [m], ``v`` velocity of the antenna [m/s], ``theta`` angle of incidence from the normal,
-``eps`` complex relative permittivity of the material.
+antenna in front of the face [m], ``x`` antenna [m] and ``v`` its velocity [m/s], ``theta`` angle of incidence from the
+normal, ``eps`` complex relative permittivity of the material.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ __all__ = [
     "antenna_amplitude",
     "arrival_direction",
     "diffraction_loss_db",
+    "edge_detour",
     "excess_path",
     "excess_rate",
     "fresnel_parameter",
@@ -83,13 +84,34 @@ def antenna_amplitude(cos_theta, eps, cross_polar, roughness_m, wavelength):  # 
 
 
 @jit
-def fresnel_parameter(angle, distance, wavelength):  # type: ignore[no-untyped-def]
-    """Fresnel-Kirchhoff parameter of an edge ``distance`` [m] away that reaches ``angle`` [rad] above the ray.
+def edge_detour(e, t, p, x, v):  # type: ignore[no-untyped-def]
+    """The ray over a straight edge, line ``p + s t``: (angle by which the direct ray lies below it, L, dL/dt).
 
-    ``v = angle sqrt(2 distance / lambda)``: the satellite is so far that the antenna's distance alone counts (ITU-R
-    P.526, eq 26 with d2 -> inf and h = angle distance).
+    The ray leaves the edge on Keller's cone about it, at the angle at which it came: ``cos b = e.t``. By Fermat's
+    principle the point of diffraction moves along the edge with the antenna. With w from the edge square to the antenna
+    and r its length: ``L = r sin b + e.w``, which is ``r sin b (1 - cos angle)``, and ``dL/dt = (sin b w / r + e).v``
+    without what v has along the edge. The angle [rad] is that between the direct ray and the edge, seen along the edge,
+    negative where the direct ray passes above. For an edge parallel to the way L is constant.
     """
-    return angle * math.sqrt(2.0 * distance / wavelength)
+    along = (x[0] - p[0]) * t[0] + (x[1] - p[1]) * t[1] + (x[2] - p[2]) * t[2]
+    w = x[0] - p[0] - along * t[0], x[1] - p[1] - along * t[1], x[2] - p[2] - along * t[2]
+    cone = e[0] * t[0] + e[1] * t[1] + e[2] * t[2]
+    f = e[0] - cone * t[0], e[1] - cone * t[1], e[2] - cone * t[2]
+    r = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    sine = math.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
+    scalar = f[0] * w[0] + f[1] * w[1] + f[2] * w[2]
+    up = t[0] * w[1] - t[1] * w[0]  # t x w, square to both, its height
+    side = (t[1] * w[2] - t[2] * w[1]) * f[0] + (t[2] * w[0] - t[0] * w[2]) * f[1] + up * f[2]
+    rate, slope = 0.0, sine / max(r, 1e-9)
+    for k in range(3):
+        rate += (slope * w[k] + f[k]) * v[k]
+    return math.atan2(side if up < 0.0 else -side, -scalar), max(r * sine + scalar, 0.0), rate
+
+
+@jit
+def fresnel_parameter(excess, wavelength):  # type: ignore[no-untyped-def]
+    """Fresnel-Kirchhoff parameter of a detour over an edge [m], ``2 sqrt(L / lambda)`` (ITU-R P.526, eq 26 to 29)."""
+    return 2.0 * math.sqrt(excess / wavelength)
 
 
 @jit

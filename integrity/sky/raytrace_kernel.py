@@ -18,9 +18,9 @@ from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.sky.propagation_kernel import arrival_direction, reflection_coefficients
 
 __all__ = [
+    "EDGE_LINE",
     "FACE",
     "MASK_RULES",
-    "NO_EDGE",
     "STRONGEST",
     "Grid",
     "MaskRows",
@@ -31,6 +31,7 @@ __all__ = [
     "free_rows",
     "look_up",
     "mask_rows",
+    "side_corners",
     "trace",
     "trace_rows",
 ]
@@ -58,25 +59,31 @@ FACE = record(
 )
 """The plane of a reflecting face."""
 
+EDGE_LINE = record(
+    point=("f8", (3,), "the point of the line that is nearest to the origin, ENU [m]"),
+    along=("f8", (3,), "unit vector ENU along the line [-]"),
+)
+"""The line of a diffracting edge."""
+
 STRONGEST = 2  # reflections of a cell that are kept
-NO_EDGE = -0.5 * math.pi
+SIDES = 3  # of a triangle
 
 
 class MaskRows(NamedTuple):
     """A :class:`~lanebound.integrity.sky.visibility.SkyMask`.
 
     rules (1,) of MASK_RULES; path, excess (stations, lanes, cells); face (stations, lanes, cells, 2) indices of
-    ``faces`` (F,) of FACE, -1 for none; skyline, edge (stations, lanes, azimuths). Without faces the last four have no
-    stations.
+    ``faces`` (F,) of FACE, and edge (stations, lanes, azimuths) of ``edges`` (E,) of EDGE_LINE, -1 for none. Without
+    faces these two have no stations.
     """
 
     rules: Records
     path: NDArray[np.uint8]
     excess: NDArray[np.float32]
     face: NDArray[np.int32]
-    skyline: NDArray[np.float32]
-    edge: NDArray[np.float32]
+    edge: NDArray[np.int32]
     faces: Records
+    edges: Records
 
 
 class SatelliteRows(NamedTuple):
@@ -96,17 +103,17 @@ class SatelliteRows(NamedTuple):
 class ReceptionRows(NamedTuple):
     """How signals arrive: path (B, S) of visibility.SignalPath, excess (B, S) [m]; cells (B, S) is work.
 
-    face (B, S, 2) indices of reflecting ``faces`` (F,) of FACE, -1 for none; skyline, edge (B, S): elevation [rad] of
-    the highest obstacle in the satellite's azimuth, -pi/2 for none, and the distance of its edge [m].
+    face (B, S, 2) indices of reflecting ``faces`` (F,) of FACE, -1 for none; edge (B, S) index of ``edges`` (E,) of
+    EDGE_LINE: the upper edge of the highest obstacle in the satellite's azimuth, -1 for none.
     """
 
     path: NDArray[np.uint8]
     excess: NDArray[np.float64]
     cells: NDArray[np.int64]
     face: NDArray[np.int32]
-    skyline: NDArray[np.float32]
-    edge: NDArray[np.float32]
+    edge: NDArray[np.int32]
     faces: Records
+    edges: Records
 
 
 class Grid(NamedTuple):
@@ -304,12 +311,11 @@ def mask_rows(first, last, grid, antenna, direction, n_az, n_el, permittivity, p
 
 
 @jit
-def edge_rows(first, last, grid, antenna, n_az, n_el, path, skyline, edge):  # type: ignore[no-untyped-def]
-    """Find the upper edge of the highest obstacle in each azimuth: skyline [rad] and distance edge [m], (P, n_az).
+def edge_rows(first, last, grid, antenna, n_az, n_el, path, edge):  # type: ignore[no-untyped-def]
+    """Find the upper edge of the highest obstacle in each azimuth: edge (P, n_az), ``3 triangle + side``, -1 for none.
 
     ``path`` (P, cells) of the same antennas gives the highest blocked cell; the edge lies between its centre and that
-    of the next cell, and is found by halving. Without an obstacle the skyline is NO_EDGE; where the zenith is blocked
-    it is pi / 2.
+    of the next cell, and is found by halving. Where the zenith is blocked there is none.
     """
     step = 0.5 * math.pi / n_el
     for p in range(first, last):
@@ -318,32 +324,63 @@ def edge_rows(first, last, grid, antenna, n_az, n_el, path, skyline, edge):  # t
             top = n_el - 1
             while top >= 0 and path[p, a * n_el + top] != BLOCKED and path[p, a * n_el + top] != REFLECTED:
                 top -= 1
-            skyline[p, a], edge[p, a] = NO_EDGE, 0.0
-            if top < 0:
+            edge[p, a] = -1
+            if top < 0 or top == n_el - 1:
                 continue
             low = (top + 0.5) * step
-            high = min(low + step, 0.5 * math.pi)
-            t = _solid_at(grid, antenna[p], azimuth, low)
-            if top < n_el - 1:
-                for _ in range(HALVINGS):
-                    middle = 0.5 * (low + high)
-                    there = _solid_at(grid, antenna[p], azimuth, middle)
-                    if there < math.inf:
-                        low, t = middle, there
-                    else:
-                        high = middle
-            else:
-                low = 0.5 * math.pi
-            if t < math.inf:  # else rounding let the ray pass
-                skyline[p, a], edge[p, a] = low, t
+            high, k = low + step, _solid_at(grid, antenna[p], azimuth, low)
+            for _ in range(HALVINGS):
+                middle = 0.5 * (low + high)
+                there = _solid_at(grid, antenna[p], azimuth, middle)
+                if there >= 0:
+                    low, k = middle, there
+                else:
+                    high = middle
+            if k >= 0:  # else rounding let the ray pass
+                edge[p, a] = SIDES * k + _side_between(grid.tri[k], antenna[p], azimuth, low, high)
+
+
+@jit
+def _ray(azimuth, elevation):  # type: ignore[no-untyped-def]
+    flat = math.cos(elevation)
+    return math.sin(azimuth) * flat, math.cos(azimuth) * flat, math.sin(elevation)
 
 
 @jit
 def _solid_at(grid, o, azimuth, elevation):  # type: ignore[no-untyped-def]
-    """Distance [m] to the first solid face in a direction, inf for none."""
-    flat = math.cos(elevation)
-    d = math.sin(azimuth) * flat, math.cos(azimuth) * flat, math.sin(elevation)
-    return trace(grid, o[0], o[1], o[2], d[0], d[1], d[2], False)[0]
+    """The first solid triangle in a direction, -1 for none."""
+    d = _ray(azimuth, elevation)
+    return trace(grid, o[0], o[1], o[2], d[0], d[1], d[2], False)[1]
+
+
+@jit
+def side_corners(tri, side):  # type: ignore[no-untyped-def]
+    """The two corners of side 0, 1 or 2 of a triangle (row of Grid.tri): from v0 along e1, between the ends, back."""
+    v0 = tri[0], tri[1], tri[2]
+    v1, v2 = (tri[0] + tri[3], tri[1] + tri[4], tri[2] + tri[5]), (tri[0] + tri[6], tri[1] + tri[7], tri[2] + tri[8])
+    if side == 0:
+        return v0, v1
+    return (v1, v2) if side == 1 else (v2, v0)
+
+
+@jit
+def _side_between(tri, o, azimuth, low, high):  # type: ignore[no-untyped-def]
+    """The side of a triangle through which a ray leaves it when it is raised from elevation ``low`` to ``high``.
+
+    The ray passes a side where ``(a x b) . d`` changes its sign, a and b from the antenna to the corners of the side.
+    """
+    below, above = _ray(azimuth, low), _ray(azimuth, high)
+    best, found = math.inf, 0
+    for side in range(SIDES):
+        p, q = side_corners(tri, side)
+        ax, ay, az = p[0] - o[0], p[1] - o[1], p[2] - o[2]
+        bx, by, bz = q[0] - o[0], q[1] - o[1], q[2] - o[2]
+        cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        before = cx * below[0] + cy * below[1] + cz * below[2]
+        after = cx * above[0] + cy * above[1] + cz * above[2]
+        if before * after <= 0.0 and abs(before) < best * abs(before - after):
+            best, found = abs(before / (before - after)), side
+    return found
 
 
 @jit
@@ -402,17 +439,17 @@ def look_up(first, last, mask, sky, arc, lane, out):  # type: ignore[no-untyped-
                 out.path[b, s] = mask.path[n, row, c]
                 out.excess[b, s] = mask.excess[n, row, c]
         if mask.face.shape[0] > 0:
-            _look_up_faces(mask, n, row, cells, rules.elevations, out.face[b], out.skyline[b], out.edge[b])
+            _look_up_faces(mask, n, row, cells, rules.elevations, out.face[b], out.edge[b])
 
 
 @jit
-def _look_up_faces(mask, n, row, cells, elevations, face, skyline, edge):  # type: ignore[no-untyped-def]
+def _look_up_faces(mask, n, row, cells, elevations, face, edge):  # type: ignore[no-untyped-def]
     """Faces that reflect and edges that diffract at station n and lane ``row``, for the cells of the satellites."""
     for s in range(cells.shape[0]):
         c = cells[s]
         if c < 0:
             face[s] = -1
-            skyline[s], edge[s] = NO_EDGE, 0.0
+            edge[s] = -1
         else:
             face[s, 0], face[s, 1] = mask.face[n, row, c, 0], mask.face[n, row, c, 1]
-            skyline[s], edge[s] = mask.skyline[n, row, c // elevations], mask.edge[n, row, c // elevations]
+            edge[s] = mask.edge[n, row, c // elevations]

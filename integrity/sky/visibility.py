@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
-from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.core.records import one_record
 from lanebound.integrity.sky.faces import Faces
 from lanebound.integrity.sky.materials import material_table, permittivities
 from lanebound.integrity.sky.raytrace_kernel import (
+    EDGE_LINE,
     FACE,
     MASK_RULES,
-    NO_EDGE,
     STRONGEST,
     MaskRows,
     ReceptionRows,
@@ -81,17 +81,17 @@ class Reception:
         return blank_reception(*self.path.shape)._replace(path=self.path.copy(), excess=self.excess_m)
 
 
-def blank_reception(batch: int, satellites: int, faces: Records | None = None) -> ReceptionRows:
-    """Reception to be filled, without reflecting faces and edges; ``faces`` (F,) of FACE: the table of a mask."""
+def blank_reception(batch: int, satellites: int, faces: Faces | None = None) -> ReceptionRows:
+    """Reception to be filled, without reflecting faces and edges; ``faces``: those of a mask, for their tables."""
     shape = batch, satellites
     return ReceptionRows(
         np.empty(shape, np.uint8),
         np.empty(shape),
         np.empty(shape, np.int64),
         np.full((*shape, STRONGEST), -1, np.int32),
-        np.full(shape, NO_EDGE, np.float32),
-        np.zeros(shape, np.float32),
-        np.zeros(0, FACE) if faces is None else faces,
+        np.full(shape, -1, np.int32),
+        np.zeros(0, FACE) if faces is None else faces.table,
+        np.zeros(0, EDGE_LINE) if faces is None else faces.edges,
     )
 
 
@@ -250,7 +250,7 @@ class SkyMask:
         rows = sky.azimuth_rad.shape[0]
         if batch[0] and not (sky.index.min() >= 0 and sky.index.max() < rows):
             raise InputError(f"sky.index must lie in [0, {rows - 1}], got {sky.index.max()}: name existing rows")
-        out = blank_reception(batch[0], sky.azimuth_rad.shape[1], self.faces.table)
+        out = blank_reception(batch[0], sky.azimuth_rad.shape[1], self.faces)
         look_up(0, batch[0], self.rows, sky.rows, arc, lanes, out)
         return Reception(out.path, out.excess, out)
 
@@ -266,7 +266,7 @@ class SkyMask:
             elevations=self.elevations,
         )
         faces = self.faces
-        return MaskRows(rules, self.path, self.excess_m, faces.face, faces.skyline_rad, faces.edge_m, faces.table)
+        return MaskRows(rules, self.path, self.excess_m, faces.face, faces.edge, faces.table, faces.edges)
 
     def save(self, path: str | Path) -> None:
         """Write the mask to an ``.npz`` file."""
@@ -359,13 +359,13 @@ def _cast(
     path = np.empty((count, azimuths * elevations), dtype=np.uint8)
     excess = np.empty(path.shape, dtype=np.float32)
     found = np.empty((*path.shape, STRONGEST), dtype=np.int32)
-    skyline, edge = np.empty((2, count, azimuths), dtype=np.float32)
+    edge = np.empty((count, azimuths), dtype=np.int32)
     cells = cell_centres(azimuths, elevations)
     permittivity = permittivities(material_table(), RAY_HZ)[city.material]
     arguments = cells, azimuths, elevations, permittivity, path, excess, found
     run_rows(mask_rows, count, city.grid, antenna, *arguments, row_us=1000.0)
-    run_rows(edge_rows, count, city.grid, antenna, azimuths, elevations, path, skyline, edge, row_us=300.0)
-    return path[rows], excess[rows], Faces.of_triangles(city, found[rows], skyline[rows], edge[rows])
+    run_rows(edge_rows, count, city.grid, antenna, azimuths, elevations, path, edge, row_us=300.0)
+    return path[rows], excess[rows], Faces.of_triangles(city, found[rows], edge[rows])
 
 
 def _antennas(road: Road, arc_m: Array, lanes: int, height_m: float) -> Array:

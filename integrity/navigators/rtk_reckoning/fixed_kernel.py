@@ -63,6 +63,7 @@ from lanebound.integrity.positioning.rtk_kernel import (
     held_risk,
     range_of,
 )
+from lanebound.integrity.positioning.wrong_fix_kernel import next_best_integers
 
 __all__ = ["find_fixed_position"]
 
@@ -72,8 +73,9 @@ class FixedScratch(NamedTuple):
 
     geo, moments, modes of its levels; los (W, 3), group (W,); variance for integrity, bias bound, measurement,
     variance for accuracy and odds of a fault (W,) of the satellites in it; sets (D, LARGEST_SET) of them to monitor;
-    tried, air (W,) of all satellites: in use before the test, variance of what the bands have in common [m^2]; position
-    (3,) and covariance (3, 3) of the test; risk (1,), budget (1, 2) and level (1, 2) of a case.
+    wrong (S, 2) errors of the integers [cycles]; tried, air (W,) of all satellites: in use before the test, variance of
+    what the bands have in common [m^2]; position (3,) and covariance (3, 3) of the test; risk (1,), budget (1, 2) and
+    level (1, 2) of a case.
     """
 
     geo: Geometry
@@ -87,6 +89,7 @@ class FixedScratch(NamedTuple):
     accuracy: Array
     odds: Array
     sets: Ints
+    wrong: Ints
     tried: Bools
     air: Array
     position: Array
@@ -103,6 +106,7 @@ def fixed_scratch(n: int, sets: int) -> FixedScratch:
     return FixedScratch(
         geometry_scratch(n), moment_scratch(n), mode_scratch(n, sets), np.zeros((w, 3)), np.zeros(w, dtype=np.int64),
         np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros((sets, LARGEST_SET), dtype=np.int64),
+        np.zeros((n, 2), dtype=np.int64),
         np.zeros(w, dtype=np.bool_), np.zeros(w), np.zeros(3), np.zeros((3, 3)), np.zeros(1), np.zeros((1, 2)),
         np.zeros((1, 2)),
     )  # fmt: skip
@@ -131,8 +135,10 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
                 carriers = Carriers(los, satellites, measured.phase[v], work.factor[v])
                 here = Rows(los, system, rows.variance, rows.y, rows.used)
                 fixed.coded = False  # its position gives way to that of the phases
-                error = measured.integer_error[v]
-                _solve_fixed(carriers, error, here, ambiguities, measured.age[v], tables, par, vehicle, w, scratch)
+                _find_wrong(carriers, rows.used, measured.integer_error[v], measured.next_best[v], rules, scratch.wrong)
+                _solve_fixed(
+                    carriers, scratch.wrong, here, ambiguities, measured.age[v], tables, par, vehicle, w, scratch
+                )
             elif fixed.status == FIXED:
                 fixed.status = TOO_FEW
         fixed.wrong = held_risk(ambiguities)
@@ -147,6 +153,14 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
             for r in range(levels.shape[0]):
                 levels[r, 0] += lever_at
                 levels[r, 1] += lever_ct
+
+
+@jit
+def _find_wrong(carriers: Carriers, used: Bools, given: Ints, candidate: Array, rules: Any, wrong: Ints) -> None:
+    """Fill the errors of the integers (S, 2) by a fault: those given, and those of a candidate (rank, azimuth)."""
+    if not (candidate[0] > 0.0 and next_best_integers(carriers, used, int(candidate[0]), candidate[1], rules, wrong)):
+        wrong[:] = 0
+    wrong += given
 
 
 @jit

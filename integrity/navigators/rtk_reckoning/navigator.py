@@ -239,6 +239,7 @@ def blank_measured(batch: int, satellites: int) -> Measured:
         cn0=np.zeros(by_satellite), code=np.zeros(by_band), phase=np.zeros(by_band), range_rate=np.zeros(by_satellite),
         lock_lost=np.zeros(by_satellite, np.bool_), age=np.zeros(batch), turn=np.zeros((batch, 3)),
         delta_v=np.zeros((batch, 3)), speed=np.zeros(batch), integer_error=np.zeros(by_band, np.int64),
+        next_best=np.zeros((batch, 2)),
     )  # fmt: skip
 
 
@@ -260,21 +261,21 @@ def blank_outputs(batch: int, satellites: int, cases: int) -> Outputs:
 
 def measured_of(m: Measurements) -> Measured:
     """The measurements as the stages take them."""
-    g, wrong = m.gnss, m.gnss.integer_error
-    if wrong is None:
-        wrong = _no_error(g.phase_m.shape)
+    g, wrong, rank = m.gnss, m.gnss.integer_error, m.gnss.next_best
+    if wrong is None or rank is None:
+        wrong, rank = _no_error(g.phase_m.shape)
     elif not wrong.flags.writeable:  # compiled stages take arrays of one kind
-        wrong = wrong.copy()
+        wrong, rank = wrong.copy(), rank.copy()
     return Measured(
         m.sky.los_enu, m.sky.index, g.tracked, g.cn0_dbhz, g.code_m, g.phase_m, g.range_rate_mps, g.lock_lost,
-        g.corrections_age_s, m.imu.delta_theta_rad, m.imu.delta_v_mps, m.odometer.speed_mps, wrong,
+        g.corrections_age_s, m.imu.delta_theta_rad, m.imu.delta_v_mps, m.odometer.speed_mps, wrong, rank,
     )  # fmt: skip
 
 
 @lru_cache(maxsize=16)
-def _no_error(shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """No integer is wrong: shared by all epochs, which only read it."""
-    return np.zeros(shape, np.int64)
+def _no_error(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], Array]:
+    """No integer is wrong, and no rank: shared by all epochs, which only read them."""
+    return np.zeros(shape, np.int64), np.zeros((shape[0], 2))
 
 
 def solution_of(m: Measurements, out: Outputs) -> Solution:

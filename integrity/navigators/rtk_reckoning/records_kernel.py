@@ -220,8 +220,8 @@ class Measured(NamedTuple):
     """Measurements of B vehicles, as in :class:`~lanebound.integrity.sensors.instruments.Measurements`.
 
     los (K, S, 3) and the row ``sight`` (B,) that each vehicle uses; tracked, cn0, range_rate, lock_lost (B, S); code,
-    phase (B, S, 2); age (B,) of the corrections; turn, delta_v (B, 3); speed (B,); integer_error (B, S, 2) of a fault
-    [cycles].
+    phase (B, S, 2); age (B,) of the corrections; turn, delta_v (B, 3); speed (B,). Of a fault: integer_error (B, S, 2)
+    [cycles]; next_best (B, 2) rank of the wrong integers that are accepted, 0 for none, and azimuth of their error.
     """
 
     los: Array
@@ -237,6 +237,7 @@ class Measured(NamedTuple):
     delta_v: Array
     speed: Array
     integer_error: Ints
+    next_best: Array
 
 
 # Work and outputs

@@ -48,6 +48,22 @@ def test_levels_hold_for_every_correlation_time_declared(turning: bool, tau_s: f
     assert max(beyond) <= allowed(VEHICLES, RISK, times=len(TIMES_S)), beyond
 
 
+DEFAULT_S = NavigatorConfig().positioning.doppler.tau_range_s
+DEFAULT_CASES = [
+    pytest.param(turning, tau_s, marks=() if (turning, tau_s) == (False, 2.0) else pytest.mark.slow)
+    for turning in (False, True)
+    for tau_s in (0.1, 0.5, 2.0)
+]
+
+
+@pytest.mark.parametrize(("turning", "tau_s"), DEFAULT_CASES)
+def test_default_levels_hold_for_every_correlation_time_of_their_range(turning: bool, tau_s: float) -> None:
+    assert DEFAULT_S[0] <= tau_s <= DEFAULT_S[1]
+    run = _run(tau_s, DEFAULT_S, turning)
+    beyond = [run.exceeding(1, time_s) for time_s in TIMES_S]
+    assert max(beyond) <= allowed(VEHICLES, RISK, times=len(TIMES_S)), beyond
+
+
 def test_a_time_beyond_the_declared_range_breaks_the_levels() -> None:
     run = _run(10.0, (0.54, 0.54))
     assert max(run.exceeding(1, time_s) for time_s in TIMES_S) > allowed(VEHICLES, RISK)

@@ -350,7 +350,7 @@ def test_a_navigator_drives_with_each_test(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["default", "doubt"])
-@pytest.mark.parametrize("size", [{"magnitude_m": 0.5}, {"magnitude_m": 2.0}, {"magnitude_cycles": 1}])
+@pytest.mark.parametrize("size", [{"magnitude_rank": 1}, {"magnitude_rank": 20}, {"magnitude_cycles": 1}])
 def test_wrong_integers_are_detected_and_misled_by_no_level(name: str, size: dict[str, Any]) -> None:
     """The integers of the fault are accepted; its residuals or its jump refuse the position, or exclude satellites."""
     config = CALM.replace(**DOUBT) if name == "doubt" else CALM
@@ -363,7 +363,7 @@ def test_wrong_integers_are_detected_and_misled_by_no_level(name: str, size: dic
     check_bounded(faulty, errors)
     assert all(s.mode[0] == Mode.RTK for s in faulty[90:99])
     assert faulty[100].mode[0] != Mode.RTK or faulty[100].excluded[0] > 0
-    if "magnitude_m" in size:  # of all satellites: no position is left that would fit
+    if "magnitude_rank" in size:  # of all satellites: no position is left that would fit
         assert all(s.mode[0] != Mode.RTK for s in faulty[101:119])
 
 

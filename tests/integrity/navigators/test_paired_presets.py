@@ -121,3 +121,8 @@ def test_a_part_of_a_preset_extends_another_one() -> None:
     data = load_preset("navigators/tactical")
     assert data["kind"] == "navigator"
     assert data["imu"] == {key: value for key, value in load_preset("sensors/imu_tactical").items() if key != "kind"}
+
+
+def test_the_preset_of_reflections_adds_hypotheses_and_nothing_else() -> None:
+    doubtful = NavigatorConfig().replace(positioning={"rtk": {"doubt": {"sets": 60}}})
+    assert NavigatorConfig.preset("navigators/reflections") == doubtful != NavigatorConfig()

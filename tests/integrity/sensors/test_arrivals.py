@@ -13,10 +13,12 @@ from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.arrival_kernel import TRACKED
 from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, gnss_parameters
-from lanebound.integrity.sky.raytrace_kernel import FACE, NO_EDGE
+from lanebound.integrity.sky.faces import Faces
+from lanebound.integrity.sky.propagation_kernel import edge_detour
+from lanebound.integrity.sky.raytrace_kernel import EDGE_LINE, FACE
 from lanebound.integrity.sky.systems import CHIP_M, WAVELENGTH_M
 from lanebound.integrity.sky.visibility import Reception, SignalPath, blank_reception
-from tests.integrity.sensors.test_gnss import DT, N_SAT, PERFECT, SYSTEM, _Receiver
+from tests.integrity.sensors.test_gnss import DT, N_SAT, PERFECT, SYSTEM, _Receiver, _sky
 
 PATHS = PERFECT.replace(cn0_zenith_dbhz=48.0, cn0_horizon_dbhz=48.0, cross_polar=1.0)
 FACE_SOUTH_M = 20.0
@@ -33,13 +35,26 @@ def faces(*planes: tuple[tuple[float, float, float], float, int]) -> np.ndarray:
 METAL = faces(((0.0, 1.0, 0.0), -FACE_SOUTH_M, 3))  # a metal wall 20 m south of the origin, it faces north
 
 
-def reception(
-    path: SignalPath, face: tuple[int, int] = (-1, -1), table: np.ndarray = METAL, **edge: float
-) -> Reception:
-    rows = blank_reception(1, N_SAT, table)
+def reception(path: SignalPath, face: tuple[int, int] = (-1, -1), edges: np.ndarray | None = None) -> Reception:
+    """The same path and faces for all satellites; with ``edges`` (S,) each has an edge of its own."""
+    lines = np.zeros(0, EDGE_LINE) if edges is None else edges
+    rows = blank_reception(1, N_SAT, Faces(np.zeros((1, 1, 1, 2)), np.zeros((1, 1, 1)), METAL, lines))  # type: ignore[arg-type]
     rows.path[:], rows.excess[:], rows.face[:] = path, 0.0, face
-    rows.skyline[:], rows.edge[:] = edge.get("skyline", NO_EDGE), edge.get("edge", 0.0)
+    if edges is not None:
+        rows.edge[:] = np.arange(N_SAT)
     return Reception(rows.path, rows.excess, rows)
+
+
+def edges_at(elevation_rad: Any, distance_m: float, turned_rad: float = 0.5 * math.pi) -> np.ndarray:
+    """Horizontal edges (S,), one in the azimuth of each satellite, seen from the origin at an elevation and distance.
+
+    turned_rad : direction of the edges from the azimuth of their satellites; by default square to it
+    """
+    azimuth, el = _sky(1).azimuth_rad[0], np.broadcast_to(elevation_rad, N_SAT)
+    lines = np.zeros(N_SAT, EDGE_LINE)
+    lines["point"] = distance_m * np.stack([np.sin(azimuth) * np.cos(el), np.cos(azimuth) * np.cos(el), np.sin(el)], -1)
+    lines["along"] = np.stack([np.sin(azimuth + turned_rad), np.cos(azimuth + turned_rad), np.zeros(N_SAT)], -1)
+    return lines
 
 
 def truth(x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Truth:
@@ -131,18 +146,87 @@ def test_multipath_stays_within_the_envelope_of_the_correlator_and_a_quarter_wav
 def test_a_ray_over_an_edge_fades_by_the_knife_edge_loss() -> None:
     above_rad, edge_m = 0.02, 25.0
     where = truth(0.0, 0.0)
-    blocked = [reception(SignalPath.BLOCKED, edge=edge_m) for _ in range(30)]
-    for one in blocked:
-        assert one.given is not None
-        one.given.skyline[:] = ELEVATION_RAD + above_rad
+    blocked = [reception(SignalPath.BLOCKED, edges=edges_at(ELEVATION_RAD + above_rad, edge_m)) for _ in range(30)]
     receiver = _Receiver(PATHS, settle=0)
     for one in blocked:
         epoch = receiver.step(reception=one, truth=where)
-    v = above_rad * np.sqrt(2.0 * edge_m / WAVELENGTH_M[SYSTEM, 0])
+    detour = edge_m * (1.0 - np.cos(above_rad))
+    v = 2.0 * np.sqrt(detour / WAVELENGTH_M[SYSTEM, 0])
     loss = 6.9 + 20.0 * np.log10(np.sqrt((v - 0.1) ** 2 + 1.0) + v - 0.1)
     np.testing.assert_allclose(48.0 - epoch.cn0_dbhz[0], loss, atol=1e-4)
-    np.testing.assert_allclose(errors(receiver, epoch, where)[0], 0.5 * edge_m * above_rad**2, atol=1e-6)
+    np.testing.assert_allclose(errors(receiver, epoch, where)[0], detour, atol=1e-9)
     assert (blocked[-1].path == SignalPath.DIFFRACTED).all()
+
+
+@pytest.mark.parametrize("turned_deg", [90.0, 40.0, -25.0])
+@pytest.mark.parametrize("velocity", [(14.0, 0.0), (0.0, 14.0), (-9.0, 6.0)])
+def test_over_an_edge_the_carrier_follows_the_detour_and_the_doppler_is_its_rate(
+    turned_deg: float, velocity: tuple[float, float]
+) -> None:
+    """The antenna moves 10 cm; the mask, of the same station, stays as it is."""
+    lines = edges_at(ELEVATION_RAD + 0.02, 25.0, math.radians(turned_deg))
+    behind, seconds = lambda: reception(SignalPath.BLOCKED, edges=lines), 0.1 / math.hypot(*velocity)
+    x, v = np.array([0.0, 0.0, 0.0]), np.array([*velocity, 0.0])
+    receiver = receiver_in(behind, truth(0.0, 0.0), PATHS.replace(phase_min_dbhz=20.0))
+    e = receiver.sky.los_enu[0]
+
+    def detour(s: float) -> np.ndarray:
+        return np.array([edge_detour(e[k], one["along"], one["point"], x + s * v, x)[1] for k, one in enumerate(lines)])
+
+    carriers = []
+    for share in (0.0, 1.0):
+        s = share * seconds
+        where = truth(*(x + s * v)[:2], *velocity)
+        epoch = receiver.step(reception=behind(), truth=where)
+        _, carrier, rate = errors(receiver, epoch, where)
+        carriers.append(carrier)
+        assert (epoch.phase_m != 0.0).all()
+        np.testing.assert_allclose(rate, (detour(s + 1e-4) - detour(s - 1e-4)) / 2e-4, atol=1e-6)
+    change = detour(seconds) - detour(0.0)
+    np.testing.assert_allclose(carriers[1] - carriers[0], np.stack([change, change], -1), atol=1e-9)
+    assert np.abs(change).max() > 1e-3
+
+
+def test_behind_another_edge_the_carrier_goes_on_at_the_nearest_cycle() -> None:
+    one, other = edges_at(ELEVATION_RAD + 0.02, 25.0), edges_at(ELEVATION_RAD + 0.05, 60.0)
+    both, where = np.concatenate([one, other]), truth(0.0, 0.0)
+
+    def behind(first: int) -> Reception:
+        made = reception(SignalPath.BLOCKED, edges=both)
+        assert made.given is not None
+        made.given.edge[:] = first + np.arange(N_SAT)
+        return made
+
+    receiver = receiver_in(lambda: behind(0), where, PATHS.replace(phase_min_dbhz=10.0))
+    _, before, _ = errors(receiver, receiver.step(reception=behind(0), truth=where), where)
+    epoch = receiver.step(reception=behind(N_SAT), truth=where)
+    code, after, _ = errors(receiver, epoch, where)
+    np.testing.assert_allclose(code, 60.0 * (1.0 - math.cos(0.05)), atol=1e-9)
+    wave = WAVELENGTH_M[SYSTEM, :2]
+    assert (np.abs(after - before) <= 0.5 * wave + 1e-9).all()
+    change = (60.0 * (1.0 - math.cos(0.05)) - 25.0 * (1.0 - math.cos(0.02))) / wave
+    np.testing.assert_allclose((after - before) / wave, change - np.round(change), atol=1e-9)
+
+
+@pytest.mark.parametrize(("path", "above_rad", "kind", "loss"), [
+    (SignalPath.LOS, 0.3, SignalPath.LOS, False),  # below a bridge
+    (SignalPath.BLOCKED, -0.3, SignalPath.BLOCKED, False),
+    (SignalPath.LOS, -0.3, SignalPath.LOS, False),
+    (SignalPath.BLOCKED, -0.005, SignalPath.LOS, True),  # the cell is blocked, but not here
+    (SignalPath.LOS, 0.005, SignalPath.DIFFRACTED, True),
+])  # fmt: skip
+def test_beyond_a_cell_from_its_edge_the_mask_decides(
+    path: SignalPath, above_rad: float, kind: SignalPath, loss: bool
+) -> None:
+    lines, where = edges_at(ELEVATION_RAD + above_rad, 25.0), truth(0.0, 0.0)
+    receiver = receiver_in(lambda: reception(path, edges=lines), where)
+    seen = reception(path, edges=lines)
+    epoch = receiver.step(reception=seen, truth=where)
+    assert (seen.path == kind).all()
+    if kind == SignalPath.BLOCKED:
+        assert not epoch.tracked.any()
+    else:
+        assert ((48.0 - epoch.cn0_dbhz > 1.0) == loss).all()
 
 
 @pytest.mark.parametrize(
@@ -161,9 +245,7 @@ def test_a_deep_fade_breaks_the_lock_when_the_detector_sees_it(
     receiver = receiver_in(lambda: reception(SignalPath.LOS), where, config)
     locked = []
     for _ in range(20):
-        behind = reception(SignalPath.BLOCKED, edge=25.0)
-        assert behind.given is not None
-        behind.given.skyline[:] = ELEVATION_RAD + above_rad
+        behind = reception(SignalPath.BLOCKED, edges=edges_at(ELEVATION_RAD + above_rad, 25.0))
         epoch = receiver.step(reception=behind, truth=where)
         locked.append((epoch.phase_m[0] != 0.0).all(-1))
         assert (epoch.cn0_dbhz > 32.0).all()
@@ -189,7 +271,7 @@ def test_the_lock_detector_errs_as_an_estimate_of_so_many_intervals_does() -> No
 
 def test_far_below_the_edge_nothing_arrives() -> None:
     receiver = _Receiver(PATHS, settle=20)
-    dark = reception(SignalPath.BLOCKED, skyline=1.5, edge=60.0)
+    dark = reception(SignalPath.BLOCKED, edges=edges_at(1.5, 60.0))
     assert not receiver.step(reception=dark).tracked[0, 1:7].any()
     assert (dark.path[0, 1:7] == SignalPath.BLOCKED).all()
 

@@ -15,7 +15,7 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.fault_registry import fault_kinds
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
-from lanebound.integrity.sky.systems import WAVELENGTH_M, System
+from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.view import SkyView
 
 DT = 0.1
@@ -56,7 +56,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "wheel_slip": {"magnitude_ratio": 0.5},
     "odometer_frozen": {},
     "v2v_lie": {"magnitude_m": 3.0, "magnitude_ratio": -0.75},
-    "wrong_fix": {"magnitude_m": 0.5},
+    "wrong_fix": {"magnitude_rank": 2, "magnitude_cycles": 1},
     "nlos_burst": {"magnitude_m": 20.0, "satellites": 2},
 }
 CHANGES = {
@@ -71,7 +71,7 @@ CHANGES = {
     "wheel_slip": {"odometer_scale"},
     "odometer_frozen": {"odometer_frozen"},
     "v2v_lie": {"v2v_offset_enu_m", "v2v_pl_scale"},
-    "wrong_fix": {"integer_error"},
+    "wrong_fix": {"integer_error", "next_best"},
     "nlos_burst": {"code_bias_m", "cn0_drop_db"},
 }
 
@@ -148,16 +148,23 @@ def test_displacements_point_to_their_azimuth() -> None:
     np.testing.assert_allclose(_effects(_fault("spoofing")).spoof_enu_m[0], [4.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_a_wrong_fix_has_the_integers_of_its_displacement() -> None:
-    cycles = _effects(_fault("wrong_fix", magnitude_m=2.0, azimuth_deg=0.0)).integer_error[0]
-    los, waves = SKY.los_enu[0], WAVELENGTH_M[SYSTEM, :2]
-    assert (np.abs(cycles * waves - 2.0 * los[:, 1:2]) <= 0.5 * waves + 1e-12).all()
-    # positioning subtracts lambda N from the phase -e.x + clock: the position moves to the North
-    design = np.column_stack([-los, np.ones(5)])
-    moved = np.linalg.lstsq(design, -cycles[:, 0] * waves[:, 0], rcond=None)[0]
-    assert moved[1] == pytest.approx(2.0, abs=0.4)
-    chosen = _effects(_fault("wrong_fix", magnitude_m=0.0, magnitude_cycles=-2, system=System.GPS, prn=7))
+def test_a_wrong_fix_has_the_integers_given_by_satellite() -> None:
+    chosen = _effects(Fault(kind="wrong_fix", start_s=1.0, magnitude_cycles=-2, system=System.GPS, prn=7))
     np.testing.assert_array_equal(chosen.integer_error[0], [[0, 0], [-2, -2], [0, 0], [0, 0], [0, 0]])
+    listed = _effects(
+        Fault(kind="wrong_fix", start_s=1.0, integers=((System.GPS, 7, 4, 3), (System.GALILEO, 99, 1, 1)))
+    )
+    np.testing.assert_array_equal(listed.integer_error[0], [[0, 0], [4, 3], [0, 0], [0, 0], [0, 0]])
+    with pytest.raises(ConfigError, match="jamming has no integers"):
+        Fault(kind="jamming", magnitude_db=10.0, integers=((System.GPS, 7, 4, 3),))
+    with pytest.raises(ConfigError, match="magnitude_rank must be an integer >= 1 and <= 100, got 101"):
+        Fault(kind="wrong_fix", magnitude_rank=101)
+
+
+def test_the_loss_of_a_burst_is_settable() -> None:
+    for loss in (2.0, 6.0):
+        dropped = _effects(_fault("nlos_burst", **({} if loss == 6.0 else {"loss_db": loss}))).cn0_drop_db
+        assert set(np.unique(dropped)) == {0.0, loss}
 
 
 def test_a_burst_strikes_the_lowest_satellites_of_its_side_by_the_mirror_image() -> None:

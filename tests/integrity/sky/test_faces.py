@@ -9,7 +9,6 @@ import pytest
 
 from lanebound.integrity.sky.faces import Faces
 from lanebound.integrity.sky.materials import Material, clad
-from lanebound.integrity.sky.raytrace_kernel import NO_EDGE
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.visibility import SignalPath, SkyMask
@@ -74,10 +73,44 @@ def test_the_two_reflections_of_most_power_are_kept_in_order() -> None:
 def test_the_skyline_is_the_eave_of_the_wall(azimuth_deg: float) -> None:
     mask = mask_of(wall(12.0))
     a = int(azimuth_deg / 3.0)
-    flat = 12.0 / np.cos(np.radians(azimuth_deg))
-    assert mask.faces.skyline_rad[0, 0, a] == pytest.approx(np.arctan2(HIGH_M - ANTENNA_M, flat), abs=np.radians(0.03))
-    assert mask.faces.edge_m[0, 0, a] == pytest.approx(np.hypot(HIGH_M - ANTENNA_M, flat), rel=2e-3)
-    assert mask.faces.skyline_rad[0, 0, 60] == np.float32(NO_EDGE)  # southward
+    line = mask.faces.edges[mask.faces.edge[0, 0, a]]
+    np.testing.assert_allclose(line["point"], [0.0, 12.0, HIGH_M], atol=1e-9)
+    np.testing.assert_allclose(line["along"], [1.0, 0.0, 0.0], atol=1e-12)
+    assert mask.faces.edge[0, 0, 60] == -1  # southward
+
+
+def test_the_edges_of_a_street_are_those_of_its_roofs() -> None:
+    """Every edge lies on its building's outline at the height of its roof, and is crossed in the azimuth it is for."""
+    feet = [
+        [[-30.0, 10.0], [-5.0, 10.0], [-5.0, 25.0], [-30.0, 25.0]],
+        [[0.0, 8.0], [20.0, 12.0], [17.0, 27.0], [-3.0, 23.0]],
+    ]
+    mask = mask_of(City.of_buildings(feet, [15.0, 25.0]))
+    lines, antenna = mask.faces.edges[mask.faces.edge[0, 0]], np.array([0.0, 0.0, ANTENNA_M])
+    azimuth = 2.0 * np.pi * (np.arange(mask.azimuths) + 0.5) / mask.azimuths
+    found = 0
+    for az, line, number in zip(azimuth, lines, mask.faces.edge[0, 0], strict=True):
+        if number < 0:
+            continue
+        found += 1
+        assert line["along"][2] == pytest.approx(0.0, abs=1e-12)
+        foot = np.array(feet[0] if line["point"][2] == pytest.approx(15.0) else feet[1])
+        corner, side = foot - line["point"][:2], np.array([line["along"][1], -line["along"][0]])
+        near = np.abs(corner @ side) < 1e-6
+        assert np.sum(near) == 2
+        way = np.array([np.sin(az), np.cos(az)])
+        distance = ((line["point"] - antenna)[:2] @ side) / (way @ side)
+        place = np.sort(foot[near] @ line["along"][:2])
+        assert place[0] - 1e-6 <= distance * way @ line["along"][:2] <= place[1] + 1e-6
+        top = np.array(
+            [
+                path in (SignalPath.BLOCKED, SignalPath.REFLECTED)
+                for path in mask.path[0, 0].reshape(mask.azimuths, -1)[int(az / 2.0 / np.pi * mask.azimuths)]
+            ]
+        )
+        skyline = np.arctan2(line["point"][2] - ANTENNA_M, distance)
+        assert abs(np.degrees(skyline) / 3.0 - 0.5 - np.flatnonzero(top).max()) <= 1.0
+    assert found > 30
 
 
 def test_faces_survive_a_file_and_are_renumbered_when_joined(tmp_path: Path) -> None:
@@ -86,7 +119,12 @@ def test_faces_survive_a_file_and_are_renumbered_when_joined(tmp_path: Path) -> 
     again = SkyMask.load(tmp_path / "mask.npz")
     np.testing.assert_array_equal(again.faces.face, one.faces.face)
     np.testing.assert_array_equal(again.faces.table, one.faces.table)
+    np.testing.assert_array_equal(again.faces.edge, one.faces.edge)
+    np.testing.assert_array_equal(again.faces.edges, one.faces.edges)
     both = Faces.join([one.faces, two.faces])
+    assert both.edges[both.edge[1, 0, 0]] == two.faces.edges[two.faces.edge[0, 0, 0]]
+    assert both.edges[both.edge[1, 0, 60]] == two.faces.edges[two.faces.edge[0, 0, 60]]
+    assert both.edge[0, 0, 60] == -1
     at = cell(two, 1.0, 70.0)
     assert both.table[both.face[1, 0, at, 0]] == two.faces.table[two.faces.face[0, 0, at, 0]]
     assert len(both.table) == 3

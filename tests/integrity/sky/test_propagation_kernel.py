@@ -7,13 +7,15 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
 
 from lanebound.integrity.sky.propagation_kernel import (
     antenna_amplitude,
     arrival_direction,
     diffraction_loss_db,
+    edge_detour,
     excess_path,
     excess_rate,
     fresnel_parameter,
@@ -107,6 +109,54 @@ def test_knife_edge_loss_has_the_values_of_the_recommendation(v: float, loss_db:
 
 
 def test_an_edge_a_few_degrees_above_the_ray_blocks_it() -> None:
-    v = fresnel_parameter(math.radians(3.0), 15.0, C / L1_HZ)
-    assert v == pytest.approx(math.radians(3.0) * math.sqrt(30.0 * L1_HZ / C))
+    """``v = angle sqrt(2 d / lambda)`` for an edge square to the ray, d away (ITU-R P.526)."""
+    angle, d = math.radians(3.0), 15.0
+    e, edge = (math.cos(0.5), 0.0, math.sin(0.5)), (d * math.cos(0.5 + angle), 0.0, d * math.sin(0.5 + angle))
+    below, excess, _ = edge_detour(e, (0.0, 1.0, 0.0), edge, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert below == pytest.approx(angle, abs=1e-12)
+    v = fresnel_parameter(excess, C / L1_HZ)
+    assert v == pytest.approx(angle * math.sqrt(2.0 * d * L1_HZ / C), rel=angle**2)
     assert 10.0 < diffraction_loss_db(v) < 15.0
+
+
+def over_the_edge(e: np.ndarray, t: np.ndarray, p: np.ndarray, x: np.ndarray) -> float:
+    """Extra path over the point of the edge by which the path is shortest, searched for (Fermat)."""
+    length = lambda s: float(-(e @ (p + s * t)) + np.linalg.norm(p + s * t - x))  # noqa: E731
+    near = float((x - p) @ t)
+    found = minimize_scalar(length, bounds=(near - 2e3, near + 2e3), method="bounded", options={"xatol": 1e-9})
+    return float(found.fun + e @ x)
+
+
+edges = given(
+    turns, angles, turns, st.floats(-0.6, 0.6), st.floats(3.0, 60.0), st.floats(1.0, 40.0), turns, st.floats(0.0, 30.0)
+)
+
+
+@settings(max_examples=200, deadline=None)
+@edges
+def test_a_ray_over_an_edge_takes_the_shortest_way_and_its_doppler_is_the_derivative(
+    az: float, el: float, az_t: float, slope: float, far: float, high: float, course: float, speed: float
+) -> None:
+    e, t, v = unit(az, el), unit(az_t, slope), speed * unit(course, 0.0)
+    p = far * unit(az, 0.0) + np.array([0.0, 0.0, high])
+    cone = abs(float(e @ t))
+    assume(cone < 0.95 and np.linalg.norm(np.cross(p, t)) > 1.0)
+    still = (0.0, 0.0, 0.0)
+
+    def excess(s: float) -> float:
+        return float(edge_detour(e, t, p, s * v, still)[1])
+
+    assert excess(0.0) == pytest.approx(over_the_edge(e, t, p, np.zeros(3)), abs=1e-7)
+    h = 1e-3
+    numeric = (8.0 * (excess(h) - excess(-h)) - (excess(2 * h) - excess(-2 * h))) / (12.0 * h)
+    assert edge_detour(e, t, p, np.zeros(3), v)[2] == pytest.approx(numeric, abs=1e-6)
+
+
+def test_along_an_edge_a_diffracted_ray_has_the_doppler_of_the_direct_one() -> None:
+    """A roof 8 m beside the street, the ray 60 degrees from its direction: the point of diffraction moves along."""
+    e, north = unit(math.radians(60.0), math.radians(30.0)), np.array([0.0, 1.0, 0.0])
+    edge = np.array([8.0, 0.0, 6.47])
+    ahead, across = (edge_detour(e, north, edge, np.zeros(3), v) for v in (14.0 * north, np.array([14.0, 0.0, 0.0])))
+    assert ahead[0] > 0.05
+    assert ahead[2] == pytest.approx(0.0, abs=1e-12)
+    assert abs(across[2]) > 0.5
