@@ -357,23 +357,27 @@ class Intersection(Preset):
     As above; v_limit is 10 m/s. The reward of highway-env is the term `base`.
 
     ## Costs
-    As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 6, the 0.7 quantile of
-    `integrity_aware` over 32 training seeds. A driver stays within the limit in the mean only if it crashes in at most
-    one of 40 drives. The shipped policy was trained without `cost_conflict` and for a limit of 8.
+    As above, with other weights: 40 for `cost_conflict` (10 elsewhere) and 0.02 for `cost_lane_integrity` (0.1
+    elsewhere). With the usual ones the sky decided whether a drive kept the limit: a crossing under an alert cost up to
+    8 by its level, whatever the car did, and a conflict often less than the limit. During an alert up to 5 m/s are free
+    of `cost_alert`. @LIMIT@
+    The shipped policy was trained with the usual weights, without `cost_conflict`, and for a limit of 8.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.
 
     ## Episode End
     Terminated on arrival, 25 m beyond the crossing on the exit to the destination, without which there is no success.
-    Truncated after 40 s. A success requires 0.3 of the allowed speed (`success_share`): 8 s to wait, and more than a
-    crawl at a quarter of the limit.
+    Truncated after 45 s. A success requires 0.27 of the allowed speed (`success_share`): about 15 s to wait, and more
+    than a crawl at a quarter of the limit.
 
     ## Arguments
     `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (7
     attempts; highway-env has 10), `spawn_probability` (0.14 at each decision, 1,000 an hour; highway-env has 0.6 at
-    1 Hz, 2,160 an hour, at which its drivers block each other), `duration` (40 s; highway-env has 13 s). Other drivers
-    stop where highway-env's would reverse.
+    1 Hz, 2,160 an hour, at which its drivers block each other), `duration` (45 s; highway-env has 13 s). Other drivers
+    wait before the crossing until their way through it is free (:class:`.worlds.crossing.CrossingRoad`); by
+    highway-env's rule they stop inside it and are driven into. They do not reverse, and start with at most 2 m/s2.
+    Nobody gives way to the car.
 
     ## Version History
     * v0: first version, on `intersection-v2`.
@@ -385,9 +389,10 @@ class Intersection(Preset):
         **INSTANT,
         "action_options": {"target_speeds": [0, 2, 4, 6]},
         "observation": {"vehicles": 12},
-        "world": {"duration": 40, "spawn_probability": 0.14, "initial_vehicle_count": 7},
-        "success_share": 0.3,
-        "cost_limit": 6.0,
+        "world": {"duration": 45, "spawn_probability": 0.14, "initial_vehicle_count": 7},
+        "success_share": 0.27,
+        "cost": {"lane_integrity": 0.02, "conflict": 40.0},
+        "cost_limit": 2.0,
     }
 
 

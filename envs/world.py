@@ -21,6 +21,7 @@ from highway_env.envs.parking_env import ParkingEnv
 
 from lanebound.envs.batch.ego_kernel import IDLE
 from lanebound.envs.worlds import world_kind, world_kinds
+from lanebound.envs.worlds.crossing import CrossingRoad
 from lanebound.envs.worlds.drivers import IntersectionDriver
 from lanebound.envs.worlds.highway import IDM_PATH
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -31,6 +32,7 @@ __all__ = ["checked_command", "guard", "make_world", "world_defaults"]
 NOTHING = {"type": "AttributesObservation", "attributes": []}
 RESERVED = ("observation", "action", "simulation_frequency", "policy_frequency", "manual_control")
 DIRECT = "ContinuousAction"
+CROSSING_PATH = f"{IntersectionDriver.__module__}.{IntersectionDriver.__qualname__}"
 
 
 def _guarded_rewards(world: AbstractEnv, action: Any) -> dict[str, float]:
@@ -40,6 +42,12 @@ def _guarded_rewards(world: AbstractEnv, action: Any) -> dict[str, float]:
     except ValueError:
         terms = type(world)._rewards(world, IDLE)
     return terms
+
+
+def _crossing_road(world: IntersectionEnv) -> None:
+    """The world's own road, with the right of way of its drivers."""
+    type(world)._make_road(world)
+    world.road.__class__ = CrossingRoad
 
 
 def _class_of(base: str) -> type[AbstractEnv]:
@@ -104,7 +112,7 @@ def make_world(
     )
     _check_action(config["action"])
     if issubclass(kind, IntersectionEnv) and config["other_vehicles_type"] == IDM_PATH:
-        config["other_vehicles_type"] = f"{IntersectionDriver.__module__}.{IntersectionDriver.__qualname__}"
+        config["other_vehicles_type"] = CROSSING_PATH
     try:
         return guard(kind, config)
     except AttributeError as error:  # highway-env's racetracks make the ego by a method that meta-actions lack
@@ -140,6 +148,8 @@ def guard(kind: type[AbstractEnv], config: dict[str, Any]) -> AbstractEnv:
     """highway-env's environment itself, except that its reward terms survive an action that is an array."""
     world: AbstractEnv = object.__new__(kind)
     world._rewards = partial(_guarded_rewards, world)  # before __init__, which resets
+    if config.get("other_vehicles_type") == CROSSING_PATH:
+        world._make_road = partial(_crossing_road, world)
     kind.__init__(world, config=config)
     return world
 

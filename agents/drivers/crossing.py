@@ -132,19 +132,19 @@ def _decision(
 ) -> Array:
     """Speed by where and when the ego meets a vehicle if it goes, and by where it would stand otherwise.
 
-    It stops before the first conflict, and before the crossing if that is still ahead. It goes where it cannot stop, or
-    where it would be met sooner standing there than going.
+    It stops before the first conflict, and before the crossing if that is still ahead. It goes where it would be met
+    sooner standing, where it then comes to stand, than going.
     """
     conflict = met.any(axis=-2)
     room = np.where(conflict, station, np.inf).min(axis=-1) - c.length_m
     place = np.where(room + c.length_m >= junction_m, np.minimum(room, junction_m - c.line_m), room)
     possible = (room >= 0.5 * v**2 / c.hard_mps2) | (v <= c.creep_mps)
-    stand = np.abs(station - place[..., None]) < c.length_m
+    reached = np.maximum(place, 0.5 * v**2 / c.hard_mps2)
+    stand = np.abs(station - reached[..., None]) < c.length_m
     soon = [
-        np.where(blocks.any(axis=-1), when, np.inf).min(axis=-1)
-        for blocks in (met, straight & (stand & ~conflict)[..., None, :])
+        np.where(blocks.any(axis=-1), when, np.inf).min(axis=-1) for blocks in (met, straight & stand[..., None, :])
     ]
-    stops = conflict.any(axis=-1) & possible & ((soon[1] > soon[0]) | (place >= c.length_m))
+    stops = conflict.any(axis=-1) & ((soon[1] > soon[0]) | (possible & (place >= c.length_m)))
     delay = c.brake_mps2 * c.response_s
     speed = np.sqrt(delay**2 + 2.0 * c.brake_mps2 * np.maximum(place, 0.0)) - delay
     return np.asarray(np.where(stops, speed, np.inf))

@@ -30,19 +30,38 @@ Array = NDArray[np.float64]
 class ConstantConfig(CruiseConfig):
     """Speed of a driver that reacts to nothing."""
 
-    share: float = Field(0.5, ge=0, description="of the speed limit: 0 stands, above 1 is full throttle [-]")
+    share: float = Field(
+        0.5,
+        ge=0,
+        description="of the speed limit, or of the largest target speed if that is less: 0 stands, above 1 is full "
+        "throttle [-]",
+    )
 
 
 class Constant(Plan):
-    """Follows the middle of the route at a share of the limit, whatever bends and vehicles are ahead."""
+    """Follows the middle of the route at a constant speed, whatever bends and vehicles are ahead.
+
+    The speed is a share of the limit, or of the largest target speed of meta-actions where that is less, rounded to a
+    target speed, up from half way.
+    """
 
     config: ConstantConfig
 
+    def __init__(self, env: DrivingEnv, config: ConstantConfig) -> None:
+        super().__init__(env, config)
+        meta = not isinstance(env.action_space, spaces.Box)
+        self._levels = np.sort(np.asarray(env.world.action_type.target_speeds, dtype=np.float64)) if meta else None
+
     def wanted_speed(self, observation: Observation) -> Array:
-        """The share of the limit."""
+        """The share of the fastest speed."""
         limit = self.reader.value(observation, "road.speed_limit")
         known = limit < self.reader.scale("road.speed_limit")
-        return np.asarray(self.config.share * np.where(known, limit, self.config.speed_mps))
+        fastest = np.where(known, limit, self.config.speed_mps)
+        if self._levels is None:
+            return np.asarray(self.config.share * fastest)
+        wanted = self.config.share * np.minimum(fastest, self._levels[-1])
+        middles = 0.5 * (self._levels[:-1] + self._levels[1:])
+        return np.asarray(self._levels[np.searchsorted(middles, wanted * (1.0 + 1e-9), side="right")])
 
     def acceleration(self, observation: Observation) -> Array:
         """To that share; at 0 it brakes for good."""

@@ -28,6 +28,9 @@ from lanebound.integrity.core.errors import InputError
 __all__ = ["ContinuousDriver", "MetaDriver", "Plan", "carry_out"]
 
 Array = NDArray[np.float64]
+LEVEL_SHARE = 0.75  # of a level of speed in each decision, with which a car slows by meta-actions; by 2 m/s: 3 m/s2
+LAG_S = 0.3  # half of the time constant of highway-env's speed control
+STANDS_MPS = 1.0  # below which a vehicle ahead stands
 
 
 class Plan:
@@ -120,11 +123,13 @@ class MetaDriver(StatelessDriver):
         inner = env.world.action_type
         self._codes = {label: code for code, label in inner.actions.items()}
         self._levels = np.sort(np.asarray(inner.target_speeds, dtype=np.float64))
+        self._slows_s = env.dt_s + LAG_S
+        self._slows_mps2 = min(LEVEL_SHARE * np.diff(self._levels).min() / env.dt_s, plan.config.brake_max_mps2)
 
     def act(self, observation: Observation) -> NDArray[np.int64]:
         """The code of an action."""
         plan, levels, codes = self.plan, self._levels, self._codes
-        wanted = plan.top_speed(observation)
+        wanted = np.minimum(plan.top_speed(observation), self._before_standing(observation))
         now = np.argmin(np.abs(levels - plan.reader.value(observation, "ego.target_speed")[..., None]), axis=-1)
         goal = np.maximum(np.searchsorted(levels, wanted + 1e-3 * levels[-1], side="right") - 1, 0)
         slower = np.where(goal < now, codes["SLOWER"], np.full(now.shape, codes["IDLE"]))
@@ -133,3 +138,13 @@ class MetaDriver(StatelessDriver):
             side = np.where(goal < now, 0, plan.change(observation))  # braking has priority
             action = np.where(side < 0, codes["LANE_LEFT"], np.where(side > 0, codes["LANE_RIGHT"], action))
         return np.asarray(action)
+
+    def _before_standing(self, observation: Observation) -> NDArray[np.float64]:
+        """Largest speed behind a vehicle that stands, from which this one still stops by levels of speed [m/s].
+
+        ``v t + v^2 / 2b``: speed falls by a level in each decision, with the lag of highway-env's control.
+        """
+        s, lead = self.plan.lead(observation)
+        room = np.maximum(s - self.plan.config.standstill_m, 0.0)
+        delay = self._slows_mps2 * self._slows_s
+        return np.where(lead < STANDS_MPS, np.sqrt(delay**2 + 2.0 * self._slows_mps2 * room) - delay, np.inf)

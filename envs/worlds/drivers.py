@@ -15,6 +15,10 @@ from lanebound.integrity.core.config import Config, Field
 __all__ = ["CityDriver", "IntersectionDriver", "LeadVehicle", "SpeedProfileConfig", "speed_profile"]
 
 Array = NDArray[np.float64]
+START_MPS2 = 2.0  # of drivers at a crossing at most; ITE: 1.5 to 2.5 from rest
+LINE_BRAKE_MPS2 = 2.0  # with which they stop before it; comfortable
+LINE_M = 1.0  # from the crossing to where they wait
+LINE_S = 0.25  # in which they take the speed for the stop; short, so that they stop within 0.2 m of it
 
 
 class SpeedProfileConfig(Config):
@@ -130,21 +134,50 @@ class CityDriver(IDMVehicle):  # type: ignore[misc]
 
 
 class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
-    """An IDM driver that never reverses, of a class whose constants highway-env's intersection may change.
+    """An IDM driver that never reverses, and waits before the crossing until it may enter.
 
-    highway-env's own drivers reverse where the gap ahead is shorter than the desired one. At a crossing they then back
+    A class of its own, because highway-env's intersection changes its constants. highway-env's own drivers reverse
+    where the gap ahead is shorter than the desired one. At a crossing they then back
     into those behind them. In ``intersection-v2`` they also follow who comes towards them: the exit of an arm ends at
     the node where its approach begins, so the approach counts as the lane that goes on from the exit. Beside a vehicle
     that waits at the crossing, one that leaves it then stops for good, and all others behind it.
+
+    Attributes
+    ----------
+    movement : approach and exit of its way through the crossing, set by :class:`.crossing.CrossingRoad`
+    may_enter : whether it goes through, set by that road
     """
+
+    movement: tuple[str, str] | None = None
+    may_enter: bool = False
+
+    def to_line_m(self) -> float:
+        """Distance from its bumper to the crossing; not positive once it is beyond."""
+        if not self.lane_index[1].startswith("ir"):
+            return 0.0
+        return float(self.lane.length - self.lane.local_coordinates(self.position)[0] - 0.5 * self.LENGTH)
+
+    def stops_in_time(self) -> bool:
+        """Whether it can still stop before the crossing."""
+        return bool(self.to_line_m() - LINE_M >= 0.5 * self.speed**2 / LINE_BRAKE_MPS2)
 
     def acceleration(
         self, ego_vehicle: Vehicle | None, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
     ) -> float:
-        """The acceleration of IDM behind a vehicle that drives ahead, not behind one on the approach of its exit."""
-        if ego_vehicle is not None and front_vehicle is not None and _comes_towards(ego_vehicle, front_vehicle):
-            front_vehicle = None
-        return float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle))
+        """The acceleration of IDM behind a vehicle that drives ahead, bounded, and a stop where it may not enter.
+
+        Neither a vehicle on the approach of the arm into which it leaves is ahead, nor another driver whose way only
+        crosses its own.
+        """
+        if ego_vehicle is not None and front_vehicle is not None:
+            if _comes_towards(ego_vehicle, front_vehicle) or _crosses(ego_vehicle, front_vehicle):
+                front_vehicle = None
+        free = min(float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle)), START_MPS2)
+        line = self.to_line_m()
+        if ego_vehicle is not self or self.may_enter or line <= 0.0:
+            return free
+        wanted = np.sqrt(2.0 * LINE_BRAKE_MPS2 * max(line - LINE_M, 0.0))
+        return min(free, float((wanted - self.speed) / LINE_S))
 
     def step(self, dt: float) -> None:
         """Move; braking ends at standstill."""
@@ -160,6 +193,14 @@ def _comes_towards(vehicle: Vehicle, other: Vehicle) -> bool:
     node = vehicle.lane_index[1]
     approaching = node.startswith("o") and other.lane_index is not None and other.lane_index[0] == node
     return bool(approaching and np.cos(vehicle.heading - other.heading) < 0.0)
+
+
+def _crosses(vehicle: Vehicle, other: Vehicle) -> bool:
+    """Whether another driver inside the crossing has neither the approach nor the exit of a driver."""
+    own, theirs = getattr(vehicle, "movement", None), getattr(other, "movement", None)
+    if own is None or theirs is None or not other.lane_index[0].startswith("ir"):
+        return False
+    return bool(own[0] != theirs[0] and own[1] != theirs[1])
 
 
 def _stop_at_rest(vehicle: IDMVehicle, dt: float) -> None:

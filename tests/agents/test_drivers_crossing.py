@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
+from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
-from lanebound.agents.drivers.crossing import YieldConfig, yield_speed
+from lanebound.agents.drivers.crossing import YieldConfig, _decision, yield_speed
 from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.observation import ObservationConfig
 from lanebound.envs.worlds.drivers import IntersectionDriver
 
 C = YieldConfig()
+GIVEN = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
 
 
 @pytest.fixture
@@ -161,3 +163,35 @@ def test_nobody_at_the_crossing_reverses():
         sound = [v.speed for v in env.world.road.vehicles if not v.crashed]
         slowest = min(slowest, *sound)
     assert slowest > -1e-6
+
+
+@pytest.mark.parametrize(("standing_s", "stops"), [(np.inf, True), (1.0, False)])
+def test_inside_it_stops_where_it_is_met_later_standing_than_going(standing_s, stops):
+    """It creeps at 1.2 m/s and would meet somebody 3 m ahead after 1.5 s, too near to stop with the usual room."""
+    station, when = np.arange(0.0, 45.0, 1.5), np.arange(0.0, 7.1, 0.25)
+    met = (station >= 3.0) & (when >= 1.5)[:, None]
+    straight = (station < 3.0) & (when >= standing_s)[:, None]
+    speed = _decision(station, when, met, straight, np.array(1.2), np.array(13.0), C)
+    assert speed == (0.0 if stops else np.inf)
+
+
+@pytest.mark.parametrize("speed", [2.0, 4.0, 6.0])
+def test_it_stops_behind_a_vehicle_that_waits_at_the_crossing(speed):
+    """From each level of speed, whenever between two decisions the vehicle comes into view."""
+    env = DrivingEnv(make_config("lanebound/Intersection-v0", GIVEN))
+    driver = make_agent("integrity_aware", env)
+    for late_m in (0.0, 1.0, 2.0):
+        observation, _ = env.reset(seed=1008)
+        ego, road = env.world.vehicle, env.world.road
+        env.world._spawn_vehicle = lambda *given, **named: None
+        ahead = IntersectionDriver(road, ego.position - np.array([0.0, 25.0 + late_m]), ego.heading, 0.0)
+        ahead.plan_route_to("o2")
+        ahead.act = lambda action=None: None
+        ego.speed = ego.target_speed = speed
+        road.vehicles = [ego, ahead]
+        observation, *_ = env.step(1)
+        for _ in range(30):
+            observation, *_ = env.step(driver.predict(observation)[0])
+        assert not ego.crashed
+        assert 1.0 < ego.position[1] - ahead.position[1] - 5.0 < 7.0
+        assert ego.speed < 0.1

@@ -41,6 +41,18 @@ def test_a_constant_share_of_the_limit_is_driven(share: float) -> None:
     assert rows[-20:, 0] == pytest.approx(share * limit, abs=0.6)
 
 
+@pytest.mark.parametrize(
+    ("name", "speeds"), [("Roundabout", [0.0, 4.0, 4.0, 8.0]), ("Intersection", [0.0, 2.0, 4.0, 6.0])]
+)
+def test_shares_are_of_the_fastest_speed_that_an_id_has(name: str, speeds: list[float]) -> None:
+    """Half of Roundabout's limit of 16 m/s would be its largest target speed, as full throttle is."""
+    env = open_env(name, GIVEN | {"duration_s": 5.0})
+    observation, _ = env.reset(seed=1)
+    shares = (0.0, 0.25, 0.5, 5.0)
+    wanted = [float(make_agent("constant", env, {"share": share}).plan.wanted_speed(observation)) for share in shares]
+    assert wanted == speeds
+
+
 def test_full_throttle_ignores_the_vehicle_ahead() -> None:
     rows, env = driven("CarFollowing", "constant", {"share": 5.0, "accelerate_mps2": 6.0}, 20.0)
     assert env.world.vehicle.crashed
