@@ -1,7 +1,7 @@
 """Code positions whose errors have parts that all satellites share: least squares with the full covariance.
 
-With R = D + C C', D the diagonal of the errors of each code and C (m, c) the effects of c shared errors of unit variance
-(ionosphere and troposphere beyond what the clocks take), the generalised least squares follow from those of D alone::
+With R = D + C C', D the diagonal of the errors of each code and C (m, c) the effects of c shared errors of unit
+variance (ionosphere and troposphere beyond what the clocks take), the solution follows from that of D alone::
 
     M0 = annihilator of the design in the metric D^-1,  S0, P0 gain and covariance of the position
     N  = I + C'M0 C,   M = R^-1 - R^-1 G (G'R^-1 G)^-1 G'R^-1 = M0 - M0 C N^-1 C'M0

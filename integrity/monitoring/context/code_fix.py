@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from lanebound.integrity.sensors.instruments import Measurements
 
 __all__ = [
-    "CodeCovariance", "CodeErrorsConfig", "CodeFix", "JudgedFix", "VehicleFix", "code_fix", "code_position", "doppler_fit"
+    "CodeCovariance", "CodeErrorsConfig", "CodeFix", "JudgedFix", "VehicleFix", "code_fix", "code_position",
+    "doppler_fit",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]

@@ -61,8 +61,9 @@ class FuzzyRule(Config):
 
 
 class RuleBase(Config):
-    """Factors, levels and rules; ``RuleBase.preset("monitors/context_rules")`` is that of S5. A configuration may name a
-    preset: ``map.rules=monitors/context_rules_crisp``.
+    """Factors, levels and rules; ``RuleBase.preset("monitors/context_rules")`` is that of S5.
+
+    A configuration may name a preset: ``map.rules=monitors/context_rules_crisp``.
 
     Raises
     ------

@@ -3,8 +3,8 @@
 S5 figure 2. Each phase is reached by those that passed the one before; every vehicle has a verdict at every epoch.
 
 At rest there is neither a Doppler speed nor a direction to test. The position is tested as in motion; of speed and map
-the last verdict in motion holds, with its reason and score: a vehicle at rest is on the road it was on. Rest is what the
-wheels say as long as Doppler does not contradict (:mod:`.speed_phase`); without a Doppler velocity it is not known.
+the last verdict in motion holds, with its reason and score: a vehicle at rest is on the road it was on. Rest is what
+the wheels say as long as Doppler does not contradict (:mod:`.speed_phase`); it is not known without a Doppler velocity.
 
 >>> from lanebound.integrity.monitoring.context.monitor import ContextMonitor, ContextConfig   # doctest: +SKIP
 >>> monitor = ContextMonitor(ContextConfig(), road_map, batch=3, dt_s=1.0)                       # doctest: +SKIP
@@ -32,7 +32,7 @@ from lanebound.integrity.positioning.map_matching.hidden_markov import make_matc
 from lanebound.integrity.positioning.map_matching.matching import MapMatches, MatchingConfig, MatchInputs
 from lanebound.integrity.positioning.map_matching.road_map import NO_LINK, RoadMap
 
-__all__ = ["ContextConfig", "ContextMonitor", "ContextReason", "ContextVerdict", "Light", "light_of"]
+__all__ = ["ContextConfig", "ContextMonitor", "ContextReason", "ContextVerdict", "Light", "light_of", "match_inputs"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -83,8 +83,8 @@ class ContextConfig(Config):
     def _printed_slope_is_of_single_codes(self) -> ContextConfig:
         if self.position.printed_slope and self.codes.covariance is not CodeCovariance.DIAGONAL:
             raise ConfigError(
-                "codes.covariance must be diagonal with position.printed_slope, got full: the printed slope is of codes "
-                "with errors of their own; set codes.covariance=diagonal"
+                "codes.covariance must be diagonal with position.printed_slope, got full: the printed slope takes each "
+                "code by itself; set codes.covariance=diagonal"
             )
         return self
 
@@ -189,11 +189,12 @@ class ContextMonitor:
             position = check_position(fix.codes, self.config.position, fix.hdop)
         if speed is None:
             speed = self.speed.step(fix.velocity_en_mps, fix.velocity_covariance, wheel_mps, fix.has_velocity, rows)
-        match, heading, sigma = self._match(fix, speed, rows)
+        inputs = match_inputs(fix, speed, self.dt_s)
+        match = self.matcher.step(inputs, rows)
         last = np.where(fix.has_velocity, np.hypot(*fix.velocity_en_mps.T), np.abs(wheel_mps))
         average = np.where(speed.known, speed.average_mps, last)
         tested = self.map.step(
-            match, fix.position_en_m, sigma, heading, average, self.dt_s, rows, fix.has_velocity
+            match, fix.position_en_m, inputs.sigma_m, inputs.heading_rad, average, self.dt_s, rows, inputs.headed
         )  # fmt: skip
         held, score = self._held_at_rest(fix.has_velocity, speed, tested, rows)
         reason = self._of_position(fix.located, position)
@@ -205,18 +206,6 @@ class ContextMonitor:
             warn, reason, _phases_passed(position, speed, tested), score, names[match.link], match, position, speed,
             tested,
         )  # fmt: skip
-
-    def _match(self, fix: JudgedFix, speed: SpeedTest, rows: Rows) -> tuple[MapMatches, Array, Array]:
-        """The match, the azimuth of motion and the 1 sigma of the position on one axis."""
-        east, north = fix.velocity_en_mps.T
-        heading = np.arctan2(east, north)
-        variance = 0.5 * np.trace(fix.covariance_en_m2, axis1=1, axis2=2)
-        sigma = np.sqrt(np.maximum(variance, 1.0))
-        moved = np.where(fix.has_velocity, np.hypot(east, north), speed.surely_mps) * self.dt_s
-        inputs = MatchInputs(
-            fix.position_en_m, heading, speed.surely_mps, moved, sigma, fix.located, fix.has_velocity
-        )  # fmt: skip
-        return self.matcher.step(inputs, rows), heading, sigma
 
     def _of_position(self, located: Bools, position: PositionTest) -> Ints:
         """Why the first phase fails; TRUSTED where it does not."""
@@ -246,6 +235,16 @@ class ContextMonitor:
         sure = has_velocity | (not c.speed_phase)
         calm = np.where(sure, ContextReason.SLOW.code, ContextReason.COLLECTING.code)
         return np.where(rest & (reason == ContextReason.TRUSTED.code), calm, reason), score
+
+
+def match_inputs(fix: JudgedFix, speed: SpeedTest, dt_s: float) -> MatchInputs:
+    """What matchers take of an epoch; the 1 sigma of the position on one axis is 1 m at least."""
+    east, north = fix.velocity_en_mps.T
+    sigma = np.sqrt(np.maximum(0.5 * np.trace(fix.covariance_en_m2, axis1=1, axis2=2), 1.0))
+    moved = np.where(fix.has_velocity, np.hypot(east, north), speed.surely_mps) * dt_s
+    return MatchInputs(
+        fix.position_en_m, np.arctan2(east, north), speed.surely_mps, moved, sigma, fix.located, fix.has_velocity
+    )  # fmt: skip
 
 
 def _first(*checks: tuple[Bools, ContextReason]) -> Ints:

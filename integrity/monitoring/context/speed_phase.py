@@ -12,8 +12,8 @@ Which standard error is the question:
   pairs of speeds that share one: ``sqrt(2) s / sqrt(N)``. Only this form sees slip, frozen wheels and false Doppler. It
   is not in S5.
 
-S5 takes the wheels' word for rest. Wheels that are frozen at 0 would then say rest for ever. Rest is contradicted, in all
-forms, where the Doppler speed exceeds the least speed by three deviations in two successive epochs.
+In S5 wheels alone decide what rest is. Wheels that are frozen at 0 would then say rest for ever. Rest is contradicted,
+in all forms, where the Doppler speed exceeds the least speed by three deviations in two successive epochs.
 """
 
 from __future__ import annotations
