@@ -45,8 +45,6 @@ ASSUMPTIONS: dict[str, dict[str, Any]] = {
     "GPS alone": {"codes": GPS},
     "GPS and Galileo, limit 50 m, P_FA 5e-3, P_MD 5e-5": {**SALOS, "codes": DUAL},
     "GPS alone, limit 50 m, P_FA 5e-3, P_MD 5e-5": {**SALOS, "codes": GPS},
-    "all systems, weak signals": {"codes": {"least_cn0_dbhz": 20.0}},
-    "level as printed": PRINTED,
     "S5: as printed, GPS alone, weak signals": deep_merge(
         PRINTED, {"codes": {**GPS, "least_cn0_dbhz": 20.0}, "speed": {"form": "printed"}}
     ),

@@ -7,7 +7,7 @@ output values. With the grades 1, 0.5 and 0 the weighted sum gives rules 1 to 9 
 levels: 85 and more very high, 70 high, 55 average, 40 low. A threshold of 71 then warns below "very high".
 
 The terms of S5's preset overlap, so that a difference at the bound of a term counts half. With the others at 0 warnings
-begin at DD = 9.73 m, DS = 12.17 m and DA = 88.5 degrees; S5 calls DD above 8 and DS above 10 not to be trusted.
+begin at DD = 9.73 m, DS = 12.17 m/s and DA = 88.5 degrees; S5 calls DD above 8 and DS above 10 not to be trusted.
 ``monitors/context_rules_crisp`` has terms that end at these bounds.
 """
 

@@ -64,8 +64,8 @@ def test_without_shared_errors_it_is_the_solver_of_codes_and_unsolved_epochs_sta
     assert some.x_m[1].tolist() == [0.0, 0.0, 0.0]
 
 
-def drawn(covariance: str, bias_m: float = 0.0, worst: bool = True):
-    """Errors (RUNS, 2) of positions, and the first phase: the ionosphere and troposphere are drawn once for all codes."""
+def drawn(covariance: str, bias_m: float = 0.0):
+    """Errors (RUNS,) of positions, their fit, and the first phase; ionosphere and troposphere are drawn once a run."""
     config, rng = CodeErrorsConfig(covariance=covariance), np.random.default_rng(6)
     los = np.broadcast_to(sights(), (RUNS, SATELLITES, 3))
     cn0 = np.full((RUNS, SATELLITES), 42.0)
@@ -92,7 +92,7 @@ def test_the_test_has_its_false_alarms_under_shared_errors_and_the_covariance_is
 
 
 def test_a_diagonal_covariance_is_wider_and_its_test_is_blunt() -> None:
-    error, fit, found = drawn("full")
+    error, _, found = drawn("full")
     other, diagonal, blunt = drawn("diagonal")
     assert found.level_m[0] < 0.9 * blunt.level_m[0]
     assert np.square(error).mean() < np.square(other).mean()  # the weights fit the errors
