@@ -363,6 +363,10 @@ def _print_service(found: dict[str, Any]) -> None:
         typer.echo(found["caution"])
 
 
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{100.0 * value:.1f} %"
+
+
 def _print_context(found: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
 
@@ -382,8 +386,7 @@ def _print_context(found: dict[str, Any]) -> None:
     head = ("rule", "points", "wrong", "false alarms", "missed", "OCDR")
     counts = [(name, c) for name, c in found["rates"].items() if isinstance(c, dict)]
     print_table("Warnings against the reference", head, [
-        (name, c["points"], c["wrong"], c["false_alarms"], c["missed"], f"{100.0 * c['ocdr']:.1f} %")
-        for name, c in counts
+        (name, c["points"], c["wrong"], c["false_alarms"], c["missed"], _share(c["ocdr"])) for name, c in counts
     ])  # fmt: skip
     typer.echo(found["caution"])
 

@@ -20,6 +20,7 @@ from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.positioning.map_matching.generators import DriveEnvironment, MapWithRoute, generate_map
+from lanebound.integrity.positioning.map_matching.map_errors import MapErrorsConfig, with_errors
 from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sensors.gnss import GnssConfig
@@ -29,7 +30,9 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
-__all__ = ["DRIVES", "ContextDrive", "ContextPoint", "DriveTable", "TrueLinks", "drive_of", "navigator_config"]
+__all__ = [
+    "DRIVES", "ContextDrive", "ContextPoint", "DriveTable", "TrueLinks", "drive_of", "navigator_config", "wrong_map"
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -45,29 +48,31 @@ SUBSTEPS = 5  # of the motion in a second
 class DriveTable(Config):
     """A drive of S5 Table 2 and its surroundings."""
 
+    roads: DriveEnvironment = Field(description="kind of the generated roads")
     length_m: float = Field(gt=1000, description="length of the route [m]; S5 Table 2")
     points: int = Field(gt=20, description="points at one a second [-]; S5 Table 2")
     sky: str = Field(description="level of sky along the route")
     drive: DriveConfig = DriveConfig()
 
 
-DRIVES = {
-    DriveEnvironment.URBAN: DriveTable(
-        length_m=6400.0, points=1245, sky="urban",
+DRIVES: dict[str, DriveTable] = {
+    "urban": DriveTable(
+        roads=DriveEnvironment.URBAN, length_m=6400.0, points=1245, sky="urban",
         drive=DriveConfig(speed_limit_mps=11.5, light_spacing_m=240.0, red_share=0.5),
     ),
-    DriveEnvironment.RURAL: DriveTable(
-        length_m=6500.0, points=3335, sky="suburban",
+    "rural": DriveTable(
+        roads=DriveEnvironment.RURAL, length_m=6500.0, points=3335, sky="suburban",
         drive=DriveConfig(speed_limit_mps=22.0, light_spacing_m=3000.0, red_share=0.3),
     ),
-    DriveEnvironment.MIXED: DriveTable(
-        length_m=8600.0, points=1105, sky="suburban",
+    "mixed": DriveTable(
+        roads=DriveEnvironment.MIXED, length_m=8600.0, points=1105, sky="suburban",
         drive=DriveConfig(speed_limit_mps=14.5, light_spacing_m=500.0, red_share=0.4),
     ),
 }  # fmt: skip
+DRIVES["suburban"] = DRIVES["urban"].replace(sky="suburban")
 """Length and points of S5. Speeds are chosen so that the points cover the length. In S5's rural drive they do not:
 3,335 points at one a second over 6.5 km are 2 m/s, while 82.7 km in all leave it 67.7 km. It is driven as laps of a
-closed route."""
+closed route. ``suburban`` is the urban drive under the sky of suburbs: the streets of S5's city are lower than ours."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,6 @@ class ContextPoint:
     wheel_mps: Array
     true_link: Ints
     driving: Bools
-    error_m: Array
     speed_mps: Array
     position_en_m: Array
 
@@ -137,7 +141,6 @@ def navigator_config(gnss: GnssConfig, sky: SkyConfig) -> NavigatorConfig:
 
 
 def drive_of(
-    environment: DriveEnvironment,
     table: DriveTable,
     number: int,
     seeds: list[int],
@@ -146,10 +149,10 @@ def drive_of(
     node_m: float,
     faults: tuple[Fault, ...] = (),
 ) -> ContextDrive:
-    """The drive of vehicles with these seeds on map ``number`` of an environment; ``codes`` by name, the first is that
+    """The drive of vehicles with these seeds on map ``number`` of a kind of roads; ``codes`` by name, the first is that
     of the monitor, the others are further assumptions."""
-    key = [list(DriveEnvironment).index(environment), number]
-    found = generate_map(environment, table.length_m, named_generator(key, "road"))
+    key = _map_key(table, number)
+    found = generate_map(table.roads, table.length_m, named_generator(key, "road"))
     road = route_road(found)
     level = SkyLevel.named(table.sky)
     city = build_city(road, level.streets_along(2.0 * road.edge_m), named_generator(key, "city"))
@@ -162,6 +165,15 @@ def drive_of(
     points = _points(navigator, CityDrive(road, table.drive, 1.0 / SUBSTEPS), TrueLinks.of(road, found), table, codes,
                      node_m)  # fmt: skip
     return ContextDrive(found.road_map, found.route, points)
+
+
+def wrong_map(road_map: RoadMap, errors: MapErrorsConfig, table: DriveTable, number: int) -> RoadMap:
+    """Map ``number`` of a kind of roads as a vehicle may have it."""
+    return with_errors(road_map, errors, named_generator(_map_key(table, number), "map"))
+
+
+def _map_key(table: DriveTable, number: int) -> list[int]:
+    return [list(DriveEnvironment).index(table.roads), number]
 
 
 def route_road(found: MapWithRoute) -> Road:
@@ -210,14 +222,13 @@ def _points(
         if last is not None:
             truth = _second(last, now, float(k))
             m = navigator.measure(truth)
-            fix, *others = (code_fix(m, assumed) for assumed in codes.values())
+            fixes = {declared: code_fix(m, declared) for declared in set(codes.values())}
+            fix, *others = (fixes[declared] for declared in codes.values())
             driving = np.full(now.batch, True) if car.road.closed else now.arc_m < car.road.length_m - END_M
-            error = np.linalg.norm(fix.position_en_m - truth.position_enu_m[:, :2], axis=-1)
             yield ContextPoint(
                 float(k), fix, dict(zip(list(codes)[1:], others, strict=True)),
                 m.odometer.speed_mps, links.at(now.arc_m, node_m), driving,
-                np.where(fix.codes.solved, error, np.inf), np.linalg.norm(now.velocity_enu_mps, axis=-1),
-                truth.position_enu_m[:, :2],
+                np.linalg.norm(now.velocity_enu_mps, axis=-1), truth.position_enu_m[:, :2],
             )  # fmt: skip
         last = now
 

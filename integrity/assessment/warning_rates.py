@@ -53,19 +53,19 @@ class WarningCounts:
         )  # fmt: skip
 
     @property
-    def far(self) -> float:
-        """False alarms over all points, S5 equation 16."""
-        return self.false_alarms / self.points if self.points else 0.0
+    def far(self) -> float | None:
+        """False alarms over all points, S5 equation 16; None without points."""
+        return self.false_alarms / self.points if self.points else None
 
     @property
-    def mdr(self) -> float:
-        """Missed detections over all points, S5 equation 17."""
-        return self.missed / self.points if self.points else 0.0
+    def mdr(self) -> float | None:
+        """Missed detections over all points, S5 equation 17; None without points."""
+        return self.missed / self.points if self.points else None
 
     @property
-    def ocdr(self) -> float:
-        """Overall correct detection rate, S5 equation 15."""
-        return 1.0 - (self.false_alarms + self.missed) / self.points if self.points else 0.0
+    def ocdr(self) -> float | None:
+        """Overall correct detection rate, S5 equation 15; None without points."""
+        return 1.0 - (self.false_alarms + self.missed) / self.points if self.points else None
 
     @property
     def per_right(self) -> float | None:

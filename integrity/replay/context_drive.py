@@ -105,8 +105,8 @@ def _speed_by_wheels(epochs: ContextEpochs, distance_m: Array, k: int, config: C
     time = epochs.time_s[k] - epochs.time_s[first]
     mean = abs(float(distance_m[k] - distance_m[first])) / time if time > 0.0 else abs(float(epochs.wheel_mps[k]))
     known = epochs.fix.has_velocity[k : k + 1] & (k >= config.speed.intervals)
-    moving = np.abs(epochs.wheel_mps[k : k + 1]) > config.speed.least_mps
-    return SpeedTest(moving, known, known, np.array([mean]))
+    wheels = np.abs(epochs.wheel_mps[k : k + 1])
+    return SpeedTest(wheels > config.speed.least_mps, known, known, np.array([mean]), np.zeros(1, np.bool_), wheels)
 
 
 def _gathered(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic, geodetic_from_ecef
-from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig, VehicleFix
+from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig, VehicleFix, code_position
 from lanebound.integrity.monitoring.context.monitor import ContextConfig
 from lanebound.integrity.monitoring.context.position_phase import PositionTest, check_position
 from lanebound.integrity.positioning.code_solution import CodeFit, solve_ranges
@@ -143,10 +143,7 @@ def _solved(e: ServiceEpochs, config: CodeErrorsConfig) -> tuple[Bools, CodeFit,
     """Codes used, positions by them, and their HDOP without weights where the level takes it."""
     used = e.tracked & (e.los_enu[..., 2] >= np.sin(np.deg2rad(config.mask_deg)))
     used &= (e.cn0_dbhz >= config.least_cn0_dbhz) & np.isin(e.system, [System[name].value for name in config.systems])
-    variance = config.errors.errors(e.los_enu[..., 2], e.cn0_dbhz).variance_m2
-    codes = solve_ranges(e.los_enu, e.code_m, variance, used, e.system)
-    plain = solve_ranges(e.los_enu, e.code_m, 1.0, used, e.system).hdop_m if config.plain_hdop else None
-    return used, codes, plain
+    return used, *code_position(e.los_enu, e.code_m, e.cn0_dbhz, used, e.system, config)
 
 
 def _rates(e: ServiceEpochs, config: CodeErrorsConfig, used: Bools, codes: CodeFit) -> tuple[CodeFit, bool]:

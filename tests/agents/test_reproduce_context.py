@@ -2,6 +2,7 @@
 
 import csv
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,25 +10,28 @@ from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.reproduce import context_tables as made
-from lanebound.agents.reproduce.context_drive import DRIVES, TrueLinks, route_road
+from lanebound.agents.reproduce.context_drive import DRIVES, TrueLinks, drive_of, route_road
+from lanebound.agents.reproduce.context_scores import PHASES, MonitorSeries, warned_by
 from lanebound.agents.reproduce.context_study import ContextStudyConfig, run_context
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import named_generator
+from lanebound.integrity.monitoring.context.monitor import ContextMonitor, ContextReason
 from lanebound.integrity.motion.drive import CityDrive
-from lanebound.integrity.positioning.map_matching.generators import DriveEnvironment, generate_map
+from lanebound.integrity.positioning.map_matching.generators import generate_map
 
 SHORT = {
     "environments": ["mixed"], "seeds": 3, "batch": 3,
-    "drives": {"mixed": {"length_m": 1500.0, "points": 40, "sky": "open"}},
+    "drives": {"mixed": {"roads": "mixed", "length_m": 1500.0, "points": 40, "sky": "open"}},
 }  # fmt: skip
 SETTINGS = (
     "environments=[mixed]", "batch=3", "drives.mixed.length_m=1500", "drives.mixed.points=40", "drives.mixed.sky=open",
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("environment", list(DriveEnvironment))
+@pytest.mark.parametrize("environment", ["urban", "rural", "mixed"])
 def test_routes_can_be_driven_and_the_true_link_is_beside_the_car(environment) -> None:
     table = DRIVES[environment]
-    found = generate_map(environment, table.length_m, named_generator([1, 1], "road"))
+    found = generate_map(table.roads, table.length_m, named_generator([1, 1], "road"))
     road = route_road(found)
     CityDrive(road, table.drive, 0.2)  # refuses kinks
     links = TrueLinks.of(road, found)
@@ -69,6 +73,10 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
         assert 120 == reached[0]["points"] >= reached[1]["points"] >= reached[2]["points"]
         unwarned = reached[2]["points"] - reached[2]["false_alarms"] - (reached[2]["wrong"] - reached[2]["missed"])
         assert unwarned == monitor["reasons"][0]  # what no phase warns of is trusted
+        over_all = monitor["over_all"]["pooled"]
+        assert over_all["points"] == 120
+        assert over_all["false_alarms"] == reached[2]["false_alarms"]
+        assert monitor["beyond"][0] <= monitor["beyond"][1] <= 120
     far = found["assumptions"]["GPS alone, limit 50 m, P_FA 5e-3, P_MD 5e-5"]["available"]
     assert far[0] > found["assumptions"]["GPS alone"]["available"][0]  # the limit is that of the assumption
     assert found["assumptions"]["GPS alone"]["stages"][2]["ocdr"] is None  # no point reaches the third phase
@@ -98,6 +106,33 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
         head, cells = rows(tables)
         assert cells
         assert all(len(row) == len(head) for row in cells)
+
+
+def test_the_scored_warnings_are_those_of_the_monitor_at_every_point() -> None:
+    """A town with stops, under a sky in which levels exceed the limit: warnings of the monitor, and by its results."""
+    table = DRIVES["urban"].replace(length_m=1500.0, points=150)
+    study, seeds = ContextStudyConfig(), [1, 2, 3]
+    for limit in (15.0, 40.0):
+        config = study.monitor.replace(position={"alert_limit_m": limit})
+        drive = drive_of(table, 0, seeds, (study.gnss, study.sky), {"": config.codes}, study.node_m)
+        key = ("true", "topological")
+        series = MonitorSeries.of(
+            drive, table.points, {key: ContextMonitor(config, drive.road_map, 3, 1.0)}, {}, config, lambda done: None
+        )
+        for b in range(3):
+            get = partial(series.of_found, key, b=b)
+            warned = get(name="warn")
+            assert (warned == warned_by(get, PHASES)).all()
+            rest = ~get(name="in motion")
+            assert rest.sum() > 10
+            assert warned.any()
+            assert limit == 15.0 or not warned.all()
+            assert np.isin(get(name="reason")[rest & ~warned], [ContextReason.SLOW.code]).all()
+
+
+def test_environments_without_drives_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"environments must be among urban, rural, mixed, suburban, got 'desert'"):
+        ContextStudyConfig(environments=("desert",))
 
 
 def test_drive_shows_the_light_and_logs_it(tmp_path) -> None:

@@ -1,12 +1,16 @@
 """Position and velocity of an epoch from undifferenced codes and range rates, with the rows that monitors test.
 
-One weighted least squares each, by the solver and the error budget of all code positions. Signals are relative to the
+One least squares each, by the solver and the error budget of all code positions. Signals are relative to the
 origin, so that the equations are linear. The clocks of the systems are unknowns of the position; velocities have one
 drift. This is what the context-aware monitor needs of a receiver; any code-based service may fill a :class:`CodeFix`.
+
+Ionosphere and troposphere act on all codes at once: the covariance of the codes is not diagonal. A diagonal one, as W
+in S5 and in Walter and Enge, takes them as noise of each code, which makes levels larger than the errors need.
 """
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -17,17 +21,28 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.positioning.code_solution import CodeFit, solve_ranges
+from lanebound.integrity.positioning.shared_errors import solve_with_shared_errors
 from lanebound.integrity.sky.systems import System
 
 if TYPE_CHECKING:
     from lanebound.integrity.sensors.instruments import Measurements
 
-__all__ = ["CodeErrorsConfig", "CodeFix", "JudgedFix", "VehicleFix", "code_fix", "doppler_fit"]
+__all__ = [
+    "CodeCovariance", "CodeErrorsConfig", "CodeFix", "JudgedFix", "VehicleFix", "code_fix", "code_position",
+    "doppler_fit",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Rows = slice | NDArray[np.int64]
 UP = np.array([0.0, 0.0, 1.0])
+
+
+class CodeCovariance(StrEnum):
+    """Covariance of the codes of an epoch."""
+
+    FULL = "full"
+    DIAGONAL = "diagonal"
 
 
 class CodeErrorsConfig(Config):
@@ -37,6 +52,11 @@ class CodeErrorsConfig(Config):
     least_cn0_dbhz: float = Field(30.0, ge=0, description="weakest signal used [dB-Hz]; chosen")
     errors: CodeErrorBudget = Field(
         CodeErrorBudget(reflections_m=0.6), description="of codes; reflections between suburban and urban streets"
+    )
+    covariance: CodeCovariance = Field(
+        CodeCovariance.FULL,
+        description="of the codes: full, with what ionosphere and troposphere do to all of them; diagonal: as if it "
+        "were noise of each code (S5, Walter and Enge)",
     )
     plain_hdop: bool = Field(
         False, description="the level takes the HDOP without weights, as S5 names it (not in metres)"
@@ -181,8 +201,20 @@ def code_fix(m: Measurements, config: CodeErrorsConfig, rows: Rows = slice(None)
     """
     if m.gnss.raw_code_m is None:
         raise InputError("gnss.undifferenced must be true, is false: a code position needs undifferenced codes")
-    s, observed = _signals(m, config, rows), m.gnss.raw_code_m[rows, :, 0]
-    variance = config.errors.errors(s.los[..., 2], s.cn0_dbhz).variance_m2
-    codes = solve_ranges(s.los, observed, variance, s.used, s.system)
-    plain = solve_ranges(s.los, observed, 1.0, s.used, s.system).hdop_m if config.plain_hdop else None
+    s = _signals(m, config, rows)
+    codes, plain = code_position(s.los, m.gnss.raw_code_m[rows, :, 0], s.cn0_dbhz, s.used, s.system, config)
     return CodeFix(codes, _doppler(m, config, rows, s), plain)
+
+
+def code_position(
+    los_enu: Array, code_m: Array, cn0_dbhz: Array, used: Bools, system: NDArray[np.int64], config: CodeErrorsConfig
+) -> tuple[CodeFit, Array | None]:
+    """Positions by codes (E, m) with the declared errors, and their HDOP without weights where the level takes it."""
+    errors = config.errors.errors(los_enu[..., 2], cn0_dbhz)
+    if config.covariance is CodeCovariance.FULL:
+        own = errors.fast_m2 + errors.own_m2
+        codes = solve_with_shared_errors(los_enu, code_m, own, used, system, errors.common_m)
+    else:
+        codes = solve_ranges(los_enu, code_m, errors.variance_m2, used, system)
+    plain = solve_ranges(los_enu, code_m, 1.0, used, system).hdop_m if config.plain_hdop else None
+    return codes, plain

@@ -5,12 +5,16 @@ terms; its output is ``z_r = 100 (w_h g_h + w_d g_d + w_s g_s)`` with the weight
 terms, at most the bound of the rule's level. S5 prints rules, weights, bounds of the terms and the threshold, and no
 output values. With the grades 1, 0.5 and 0 the weighted sum gives rules 1 to 9 exactly the order of their printed
 levels: 85 and more very high, 70 high, 55 average, 40 low. A threshold of 71 then warns below "very high".
+
+The terms of S5's preset overlap, so that a difference at the bound of a term counts half. With the others at 0 warnings
+begin at DD = 9.73 m, DS = 12.17 m/s and DA = 88.5 degrees; S5 calls DD above 8 and DS above 10 not to be trusted.
+``monitors/context_rules_crisp`` has terms that end at these bounds.
 """
 
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +22,7 @@ from pydantic import model_validator
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError, require_finite
+from lanebound.integrity.core.presets import preset_values
 
 __all__ = ["FuzzyFactor", "FuzzyRule", "FuzzyTerm", "RuleBase", "s5_rules"]
 
@@ -58,6 +63,8 @@ class FuzzyRule(Config):
 class RuleBase(Config):
     """Factors, levels and rules; ``RuleBase.preset("monitors/context_rules")`` is that of S5.
 
+    A configuration may name a preset: ``map.rules=monitors/context_rules_crisp``.
+
     Raises
     ------
     ConfigError
@@ -70,6 +77,12 @@ class RuleBase(Config):
     speed: FuzzyFactor
     levels: dict[str, float]
     rules: tuple[FuzzyRule, ...]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, data: Any) -> Any:
+        """The name of a preset in place of a mapping."""
+        return preset_values(data) if isinstance(data, str) else data
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

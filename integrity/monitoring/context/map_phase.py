@@ -37,7 +37,7 @@ class MapPhaseConfig(Config):
     least_probability: float = Field(
         0.0, ge=0, le=1, description="least probability of the matched link [-]; 0: as S5, which has none"
     )
-    rules: RuleBase = Field(default_factory=s5_rules, description="the fuzzy system")
+    rules: RuleBase = Field(default_factory=s5_rules, description="the fuzzy system, or the name of its preset")
 
 
 class MapTest(NamedTuple):
@@ -78,6 +78,7 @@ class MapPhase:
         average_mps: Array,
         dt_s: float,
         rows: Rows = EVERY,
+        headed: Bools | None = None,
     ) -> MapTest:
         """Score the match of an epoch of the vehicles in ``rows``; B is their number.
 
@@ -87,6 +88,7 @@ class MapPhase:
         position_en_m, sigma_m, heading_rad : (B, 2), (B,), (B,) measured, with the 1 sigma of the position
         average_mps : (B,) average Doppler speed of the second phase
         dt_s : length of an epoch
+        headed : (B,) the heading is known (default: all); where it is not, distance and speed alone are compared
         """
         c, matched = self.config, match.link != NO_LINK
         here = np.concatenate([match.foot_en_m, position_en_m], -1)
@@ -105,6 +107,7 @@ class MapPhase:
             mapped = mapped - errors - c.map_sigma_m * recent.sum(-1)
         distance, off = np.abs(mapped - measured), np.abs(speed - average_mps)
         angle = np.rad2deg(np.abs(wrap_angle(match.heading_rad - heading_rad)))
+        angle = angle if headed is None else np.where(headed, angle, 0.0)
         score = np.where(matched, c.rules.score(angle, distance, off), 0.0)
         passed = matched & (score >= c.threshold) & (match.probability >= c.least_probability)
         return MapTest(score, angle, distance, off, matched, passed)

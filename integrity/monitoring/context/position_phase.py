@@ -1,7 +1,9 @@
 """First phase of S5: weighted RAIM (Walter and Enge 1995), S5 equations 1 to 4.
 
-``HPL = max_i slope_i T + k(P_MD) HDOP_w``, ``slope_i = sigma_i |(K_1i, K_2i)| / sqrt(1 - P_ii)``, K = (G'WG)^-1 G'W,
-P = G K; the test statistic is sqrt(WSSE) = sqrt(r'Wr), its threshold T = sqrt(chi2_{1 - P_FA}(m - n)).
+``HPL = max_i slope_i T + k(P_MD) HDOP_w``, ``slope_i = |(K_1i, K_2i)| / sqrt(M_ii)``, K = (G'WG)^-1 G'W, W = R^-1,
+M = W - W G K; the test statistic is sqrt(WSSE) = sqrt(y'M y), its threshold T = sqrt(chi2_{1 - P_FA}(m - n)). A bias b
+of code i has the mean K_i b and raises WSSE by M_ii b^2. With a diagonal covariance R the slope is
+``sigma_i |(K_1i, K_2i)| / sqrt(1 - P_ii)``, P = G K, as in Walter and Enge.
 
 ``k`` is two-sided, ``P(|z| > k) = P_MD``, as in the monitors of S3: the error has no preferred side.
 
@@ -33,7 +35,9 @@ class PositionPhaseConfig(Config):
     alert_limit_m: float = Field(15.0, gt=0, description="horizontal alert limit [m]; S5, after Velaga 2012")
     false_alarm: float = Field(1e-3, gt=0, lt=1, description="P_FA of the WSSE test [-]; S5")
     missed_detection: float = Field(1e-5, gt=0, lt=1, description="P_MD of the protection level [-]; S5")
-    printed_slope: bool = Field(False, description="slope without sigma_i, as printed in S5 eq 2 (not in metres)")
+    printed_slope: bool = Field(
+        False, description="slope without sigma_i, as printed in S5 eq 2 (not in metres); codes.covariance: diagonal"
+    )
 
 
 class PositionTest(NamedTuple):

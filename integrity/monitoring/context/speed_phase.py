@@ -11,6 +11,9 @@ Which standard error is the question:
   their mean must lie within three standard errors and what is declared of the wheels. The standard error is that of
   pairs of speeds that share one: ``sqrt(2) s / sqrt(N)``. Only this form sees slip, frozen wheels and false Doppler. It
   is not in S5.
+
+In S5 wheels alone decide what rest is. Wheels that are frozen at 0 would then say rest for ever. Rest is contradicted,
+in all forms, where the Doppler speed exceeds the least speed by three deviations in two successive epochs.
 """
 
 from __future__ import annotations
@@ -29,6 +32,10 @@ __all__ = ["SpeedForm", "SpeedPhase", "SpeedPhaseConfig", "SpeedTest", "interval
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+
+
+SURE_SIGMAS = 3.0  # deviations by which Doppler contradicts rest
+CONTRADICTIONS = 2  # successive epochs; one may lie between the mean speed of the wheels and the last one of Doppler
 
 
 class SpeedForm(StrEnum):
@@ -56,13 +63,21 @@ class SpeedTest(NamedTuple):
     """Results of B vehicles.
 
     moving (B,) the wheels are fast enough; known (B,) there are N + 1 speeds; consistent (B,) the test holds;
-    average_mps (B,) average Doppler speed, 0 where not known.
+    average_mps (B,) average Doppler speed, 0 where not known; contradicted (B,) the wheels say rest, Doppler motion;
+    surely_mps (B,) speed that the vehicle has at least by wheels or by Doppler.
     """
 
     moving: Bools
     known: Bools
     consistent: Bools
     average_mps: Array
+    contradicted: Bools
+    surely_mps: Array
+
+    @property
+    def at_rest(self) -> Bools:
+        """The wheels say rest, and Doppler does not contradict."""
+        return np.asarray(~self.moving & ~self.contradicted)
 
     @property
     def passed(self) -> Bools:
@@ -111,18 +126,19 @@ class SpeedPhase:
     Attributes
     ----------
     memory : what lasts, arrays with the vehicles as first axis: speeds (B, N + 1, 3) SDOP, Doppler and wheels, the
-        newest last; count (B,) of them
+        newest last; count (B,) of them; against (B,) successive epochs in which Doppler contradicts rest
     """
 
     def __init__(self, config: SpeedPhaseConfig, batch: int) -> None:
         self.config = config
         self.memory: Memory = {
-            "speeds": np.zeros((batch, config.intervals + 1, 3)), "count": np.zeros(batch, np.int64)
+            "speeds": np.zeros((batch, config.intervals + 1, 3)), "count": np.zeros(batch, np.int64),
+            "against": np.zeros(batch, np.int64),
         }  # fmt: skip
 
     def forget(self, rows: Rows) -> None:
         """Begin anew with these vehicles."""
-        self.memory["count"][rows] = 0
+        self.memory["count"][rows], self.memory["against"][rows] = 0, 0
 
     def step(
         self, velocity_en_mps: Array, covariance: Array, wheel_mps: Array, known: Bools, rows: Rows = EVERY
@@ -140,18 +156,27 @@ class SpeedPhase:
         unit = velocity_en_mps / np.maximum(speed, 1e-9)[:, None]
         along = np.einsum("bi,bij,bj->b", unit, covariance, unit)
         slow = 0.5 * np.trace(covariance, axis1=1, axis2=2)  # no direction: the mean of both axes
-        variance = np.where(speed > 1e-6, along, slow)
-        sample = np.stack([c.sdop_sigmas * np.sqrt(np.maximum(variance, 0.0)), speed, np.abs(wheel_mps)], -1)
+        sigma = np.sqrt(np.maximum(np.where(speed > 1e-6, along, slow), 0.0))
+        wheels = np.abs(wheel_mps)
+        sure = np.where(known, speed - SURE_SIGMAS * sigma, 0.0)
+        moving, contradicted = wheels > c.least_mps, self._contradicted(wheels, sure, rows)
+        sample = np.stack([c.sdop_sigmas * sigma, speed, wheels], -1)
         speeds, count = self.memory["speeds"][rows], self.memory["count"][rows]
         speeds = np.concatenate([speeds[:, 1:], np.where(known[:, None], sample, 0.0)[:, None]], 1)
         count = np.where(known, np.minimum(count + 1, n + 1), 0)
         self.memory["speeds"][rows], self.memory["count"][rows] = speeds, count
         full = count > n
         ordered = np.where(full[:, None, None], speeds, 0.0)
-        sdop, doppler, wheels = ordered[..., 0], ordered[..., 1], ordered[..., 2]
-        bound, average = mase(sdop), interval_mean(doppler)
-        consistent = self._consistent(bound, doppler, wheels)
-        return SpeedTest(np.abs(wheel_mps) > c.least_mps, full, consistent & full, average)
+        bound, average = mase(ordered[..., 0]), interval_mean(ordered[..., 1])
+        consistent = self._consistent(bound, ordered[..., 1], ordered[..., 2]) & full & ~contradicted
+        return SpeedTest(moving, full, consistent, average, contradicted, np.maximum(wheels, sure))
+
+    def _contradicted(self, wheels: Array, sure_mps: Array, rows: Rows) -> Bools:
+        """Whether Doppler has contradicted the rest that wheels (B,) say for long enough."""
+        least = self.config.least_mps
+        against = np.where((wheels <= least) & (sure_mps > least), self.memory["against"][rows] + 1, 0)
+        self.memory["against"][rows] = np.minimum(against, CONTRADICTIONS)
+        return np.asarray(against >= CONTRADICTIONS)
 
     def _consistent(self, bound: Array, doppler: Array, wheels: Array) -> Bools:
         """Whether MASE reaches ``errors`` of the standard error."""

@@ -43,15 +43,15 @@ class TopologicalConfig(Config):
     """Weights of the topological matcher; only their ratios count.
 
     The form is that of weight-based matchers (Quddus 2003, Velaga 2009, and S5's source): heading, proximity and
-    connection. The ratios are chosen: heading first, as in S5's fuzzy weights.
+    connection. The ratio of heading and distance is chosen: heading first, as in S5's fuzzy weights. Scale and
+    connection are fitted on maps that no result uses (``agents.reproduce.matcher_fit``). A large connection keeps a
+    wrong choice: it outweighs ``connection / distance * scale_m`` of distance.
     """
 
     heading: float = Field(0.4, ge=0, description="of the cosine of the difference of heading [-]; chosen")
     distance: float = Field(0.35, ge=0, description="of 1 - distance / scale_m, -1 at least [-]; chosen")
-    scale_m: float = Field(
-        20.0, gt=0, description="distance that has no weight [m]; chosen, some 3 sigma of a position"
-    )
-    connection: float = Field(0.25, ge=0, description="of links that the last link leads to [-]; chosen")
+    scale_m: float = Field(15.0, gt=0, description="distance that has no weight [m]; fitted")
+    connection: float = Field(0.05, ge=0, description="of links that the last link leads to [-]; fitted")
 
 
 class HiddenMarkovConfig(Config):

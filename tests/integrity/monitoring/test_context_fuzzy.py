@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.monitoring.context.fuzzy import RuleBase, s5_rules
+from lanebound.integrity.monitoring.context.map_phase import MapPhaseConfig
 
 # S5 Table 1: DA, DD, DS, integrity scale
 TABLE_1 = [
@@ -84,3 +85,26 @@ def test_incomplete_rules_are_refused() -> None:
         RuleBase.load({**data, "rules": odd})
     with pytest.raises(ConfigError, match=r"the weights must sum to 1, got 0\.9"):
         RuleBase.load({**data, "heading": {**data["heading"], "weight": 0.3}})
+
+
+FUZZY, CRISP = "monitors/context_rules", "monitors/context_rules_crisp"
+
+
+@pytest.mark.parametrize(
+    ("rules", "axis", "bound"),
+    [(FUZZY, 0, 88.50), (FUZZY, 1, 9.733), (FUZZY, 2, 12.167), (CRISP, 0, 90.0), (CRISP, 1, 8.0), (CRISP, 2, 10.0)],
+)
+def test_warnings_of_one_difference_begin_at_the_stated_bound(rules, axis, bound) -> None:
+    """Overlapping terms warn later than S5 says; crisp ones at S5's bounds."""
+    of = MapPhaseConfig(rules=rules).rules
+    for value, warned in ((bound - 0.01, False), (bound + 0.01, True)):
+        at = [value if k == axis else 0.0 for k in range(3)]
+        assert (of.score(*at) < WARNED) == warned
+
+
+def test_a_preset_of_rules_is_chosen_by_its_name_and_survives_the_file() -> None:
+    config = MapPhaseConfig.load({"rules": CRISP})
+    assert config == MapPhaseConfig().replace(rules=CRISP) == MapPhaseConfig.load(config.to_dict())
+    assert config.rules.score(0.0, 6.0, 7.0) == pytest.approx(70.0)  # both average
+    with pytest.raises(ConfigError, match="context_rules_none"):
+        MapPhaseConfig(rules="monitors/context_rules_none")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from code_rows import fix_at
 
-from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.monitoring.context.code_fix import CodeFix
 from lanebound.integrity.monitoring.context.monitor import (
     ContextConfig,
@@ -129,3 +129,91 @@ def test_every_reason_has_a_light() -> None:
     assert set(lights[1:]) == {Light.AMBER, Light.RED}
     with pytest.raises(InputError, match=r"dt_s must be > 0 and batch >= 1"):
         ContextMonitor(ContextConfig(), road(), 1, 0.0)
+
+
+def rest(monitor: ContextMonitor, epochs: int, place, *, speed=0.0, wheel=0.0, seed=5, **how):
+    """Verdicts of a car whose wheels say ``wheel``, and which drives to the North at ``speed``."""
+    rng, out = np.random.default_rng(seed), []
+    for k in range(epochs):
+        fix = fix_at([[0.0, place + speed * k]], [[0.0, speed]], rng, **how)
+        out.append(monitor.step(fix, np.array([wheel])))
+    return out
+
+
+def test_wheels_that_freeze_at_rest_are_red_once_the_car_moves() -> None:
+    """A Doppler speed of 10 m/s beside wheels at rest: an epoch may be noise, two in succession are a fault."""
+    monitor = ContextMonitor(ContextConfig(), road(), 1, 1.0)
+    follow(monitor, 20)
+    standing = rest(monitor, 10, 210.0)
+    assert reasons(standing) == ["SLOW"] * 10
+    frozen = rest(monitor, 40, 220.0, speed=10.0)
+    assert reasons(frozen) == ["SLOW"] + ["SPEED_FAULT"] * 39
+    assert all(v.light[0] == Light.RED and v.warn[0] for v in frozen[1:])
+    assert frozen[-1].link[0] == 11  # the matcher goes on with Doppler
+    again = rest(monitor, 5, 610.0)
+    assert [int(v.light[0]) for v in again] == [Light.RED] * 5  # the wheels are as wrong as before
+    late = follow(monitor, 30)  # wheels that turn again: the fault leaves the window of the averages
+    assert reasons(late)[-1] == "TRUSTED"
+
+
+def test_one_doppler_error_and_a_crawl_do_not_contradict_rest() -> None:
+    monitor = ContextMonitor(ContextConfig(), road(), 1, 1.0)
+    follow(monitor, 20)
+    for speed in (0.0, 9.0, 0.0, 9.0, 0.0):
+        assert reasons(rest(monitor, 1, 210.0, speed=speed)) == ["SLOW"]
+    assert reasons(rest(monitor, 20, 210.0, speed=1.9, wheel=1.9)) == ["SLOW"] * 20
+
+
+def test_without_doppler_rest_is_not_known() -> None:
+    monitor = ContextMonitor(ContextConfig(), road(), 1, 1.0)
+    follow(monitor, 20)
+    fix = fix_at([[0.0, 210.0]], [[0.0, 0.0]], np.random.default_rng(1))
+    none = replace(fix.rates, status=np.array([Solvability.TOO_FEW.code]))
+    found = monitor.step(CodeFix(fix.codes, none), np.zeros(1))
+    assert reasons([found]) == ["COLLECTING"]
+    assert found.light[0] == Light.AMBER
+    assert reasons([monitor.step(fix, np.zeros(1))]) == ["SLOW"]
+
+
+def test_a_position_that_fails_at_rest_warns_for_that_epoch_alone() -> None:
+    monitor, rng = ContextMonitor(ContextConfig(), road(), 1, 1.0), np.random.default_rng(2)
+    follow(monitor, 20)
+    found = [
+        monitor.step(fix_at([[0.0, 210.0]], [[0.0, 0.0]], rng, code_m=8.0 if k == 2 else 0.7), np.zeros(1))
+        for k in range(6)
+    ]
+    assert reasons(found) == ["SLOW", "SLOW", "UNAVAILABLE", "SLOW", "SLOW", "SLOW"]
+    assert [bool(v.warn[0]) for v in found] == [False, False, True, False, False, False]
+
+
+@pytest.mark.parametrize("warn_at_rest", [False, True])
+def test_a_red_verdict_stays_red_and_keeps_its_reason_at_the_stop(warn_at_rest) -> None:
+    monitor = ContextMonitor(ContextConfig(warn_at_rest=warn_at_rest), road(), 1, 1.0)
+    assert reasons(follow(monitor, 20, wheel_mps=14.0))[-1] == "SPEED_FAULT"
+    found = rest(monitor, 4, 210.0)
+    assert reasons(found) == ["SPEED_FAULT"] * 4
+    assert [int(v.light[0]) for v in found] == [Light.RED] * 4
+
+
+def test_without_doppler_and_speed_phase_distance_and_wheels_decide() -> None:
+    """No heading is no heading to the North, and no Doppler speed is not a speed of 0."""
+    monitor = ContextMonitor(ContextConfig(speed_phase=False), to_the_east(), 1, 1.0)
+    rng, found = np.random.default_rng(3), []
+    for k in range(20):
+        fix = fix_at([[20.0 + 10.0 * k, 0.0]], [[10.0, 0.0]], rng)
+        none = np.array([Solvability.TOO_FEW.code])
+        rates = replace(fix.rates, x_m=0.0 * fix.rates.x_m, status=none)
+        found.append(monitor.step(CodeFix(fix.codes, rates), np.array([10.0])))
+    assert set(reasons(found)) == {"TRUSTED"}
+
+
+def to_the_east() -> RoadMap:
+    """A straight road of one link."""
+    ends = np.array([(0.0, 0.0), (1000.0, 0.0)])
+    return RoadMap.of_lines(ends, [(0, 1)], [ends])
+
+
+def test_the_printed_slope_needs_codes_of_errors_of_their_own() -> None:
+    with pytest.raises(ConfigError, match=r"codes\.covariance must be diagonal with position\.printed_slope, got full"):
+        ContextConfig(position={"printed_slope": True})
+    ContextConfig.load({"position": {"printed_slope": True}, "codes": {"covariance": "diagonal"}})

@@ -91,6 +91,26 @@ def test_wheels_that_slip_are_red_and_alert_only_where_asked() -> None:
             assert b.reason[0] == AlertReason.CONTEXT_WARNING.code
 
 
+def test_an_odometer_that_freezes_at_a_stop_is_red_when_the_car_drives_off() -> None:
+    """Driven until 34 s, at rest until 42 s, frozen from 40 s on; red needs two verdicts after 2 m/s."""
+    fault = Fault(kind="odometer_frozen", start_s=40.0, duration_s=80.0)
+    navigator, place, speed, lights = navigator_of([1], (fault,), alerts=True, warns_at="red"), 0.0, SPEED, {}
+    for k in range(130):
+        time = (k + 1) * DT
+        braked = max(0.0, SPEED - 2.5 * max(time - 28.0, 0.0))
+        later = braked if time < 42.0 else min(SPEED, 2.0 * (time - 42.0))
+        there = place + 0.5 * DT * (speed + later)
+        truth = truth_between(
+            time, DT, (np.array([[0.0, place]]), np.array([[0.0, there]])),
+            (np.array([[0.0, speed]]), np.array([[0.0, later]])), (np.zeros(1), np.zeros(1)),
+        )  # fmt: skip
+        solution = navigator.step(truth)
+        place, speed = there, later
+        lights[time] = int(report(solution).light[0]), bool(report(solution).context_warning[0])
+    assert {lights[time] for time in np.arange(30.0, 43.5, DT)} == {(int(Light.GREEN), False)}
+    assert {lights[time] for time in np.arange(46.0, 65.0, DT)} == {(int(Light.RED), True)}
+
+
 def test_the_position_that_the_vehicle_uses_is_judged() -> None:
     """Its levels and tests are those of the first phase, and the matched position is its own."""
     risk = {"integrity_risk": 1e-3}
