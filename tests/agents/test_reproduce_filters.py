@@ -55,7 +55,7 @@ def test_a_trial_writes_its_table_and_figures(short, tmp_path):
 
 def test_sharp_turns_end_after_390_m_and_a_calibrated_gyro_halves_their_error(tmp_path, monkeypatch):
     """S4's course of 390 m without GNSS, below 3 m with a calibrated gyro; 8 drives."""
-    kept = {name: trial for name, trial in filter_scenarios.SHARP.items() if "scenario" in name or "at rest" in name}
+    kept = {name: trial for name, trial in filter_scenarios.SHARP.items() if "at rest" in name}
     monkeypatch.setattr(filters, "SHARP", kept)
     scenario = filter_scenarios.SCENARIOS["10"]
     car, traffic = CityDrive(scenario.road, scenario.drive, 0.1), Streams([1])
@@ -92,5 +92,9 @@ def test_a_static_log_is_fitted_by_the_command(tmp_path):
     )
     assert abs(abs(found["drift_before_m"]) - 12.9) < 0.1
     assert abs(found["drift_after_m"]) < 1e-3
+    assert found["constant"] is None
+    log.write_text("time_s,forward\n" + "\n".join(f"{t},-0.007" for t in time_s) + "\n")
+    done = CliRunner().invoke(app, ["fit-imu", str(log)])
+    assert "forward: a constant is fitted; the log is constant." in done.stdout
     missing = CliRunner().invoke(app, ["fit-imu", str(tmp_path / "none.csv")])
     assert missing.exit_code != 0
