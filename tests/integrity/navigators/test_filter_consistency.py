@@ -1,7 +1,7 @@
-"""NEES and NIS of the product where true and declared errors are the same: 500 cars that move as a model says.
+"""NEES and NIS of the product where true and declared errors are the same: 300 cars that move as a model says.
 
 The kernels are those of the navigator (``run_filters``); the test draws truth and measurements by the declared laws. The
-bands hold a mean that is 1 with probability 0.999 each (chi-square, 500 cars).
+bands hold a mean that is 1 with probability 0.999 each (chi-square, 300 cars).
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import Measure
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings, place_vehicles
 from lanebound.integrity.positioning.filters.vehicle_models import S
 
-CARS, DT, EPOCHS = 500, 0.1, 300
+CARS, DT, EPOCHS = 300, 0.1, 200
 FAST_M, SLOW_M, SLOW_S = 1.0, 1.5, 300.0  # of positions
 MATCHED = {
     "compass": {"fitted": True},
