@@ -28,8 +28,8 @@ def fit_imu(
     """Fit C1 (1 - exp(-t / tau)) + C2 to each acceleration of a static log, without gravity (S4 section II-C5).
 
     The drifts are the position after the first 60 s from rest, with the error as it is and with the fitted law removed.
-    Sigmas are those of white noise. A log that does not show a warm-up is fitted by a constant, and the reason printed: S4's
-    sensor needs some 1,000 s.
+    Sigmas are those of white noise. A log that does not show a warm-up is fitted by a constant, and the reason printed:
+    S4's sensor needs some 1,000 s.
 
     Set the result with --set navigator.imu.mems_exponential=true and navigator.imu.mems_c1_mps2, mems_c2_mps2,
     mems_tau_s.
@@ -44,7 +44,18 @@ def fit_imu(
     if as_json:
         print_json(found)
         return
-    keys = ("c1_mps2", "c1_sigma_mps2", "c2_mps2", "c2_sigma_mps2", "tau_s", "tau_sigma_s", "mean_mps2", "std_mps2", "drift_before_m", "drift_after_m")
+    keys = (
+        "c1_mps2",
+        "c1_sigma_mps2",
+        "c2_mps2",
+        "c2_sigma_mps2",
+        "tau_s",
+        "tau_sigma_s",
+        "mean_mps2",
+        "std_mps2",
+        "drift_before_m",
+        "drift_after_m",
+    )
     rows = [(key, *(f"{values[key]:.5g}" if values[key] is not None else "-" for values in found.values()))
             for key in keys]  # fmt: skip
     print_table("Error of accelerometers", ("", *found), rows)

@@ -45,6 +45,8 @@ FAULT, SENSORS, LAW = "fault ", "sensors ", "law"
 """What names of parts begin with: faults, scenario 10 with better sensors, and the fit of static logs."""
 SHARPEST = "10"
 PLAIN = "as scenario 10: gyro bias 0.1 deg/s, declared 0.4"
+OWN: Mapping[str, Any] = {"sensor_errors": False, "position": {"excess_tau_s": 0.0}}
+"""What our additions are, taken away."""
 EVERY = 10  # epochs between the moments kept for figures
 
 
@@ -55,6 +57,11 @@ class FiltersConfig(Config):
     first_seed: int = Field(1, ge=0, description="of the drives")
     scenarios: tuple[str, ...] = Field(tuple(SCENARIOS), min_length=1, description="numbers of S4's table I")
     vehicles: int = Field(40, ge=0, le=2000, description="vehicles that meet each fault; 0: no faults [-]")
+    as_s4: bool = Field(
+        False,
+        description="S4's own filters in the trials: no states of sensor errors, no memory of innovations; scenario 10 "
+        "with its own sensors alone",
+    )
 
     @model_validator(mode="after")
     def _scenarios_are_known(self) -> Self:
@@ -74,7 +81,7 @@ def run_filters(config: FiltersConfig, out: Path, on_progress: OnProgress = igno
     """
     ResultFolder(out, "filter study", config.to_dict(), code_digest(*PACKAGES)).claim()
     faults = [FAULT + name for name in FAULTS] if config.vehicles else []
-    sharp = [SENSORS + name for name in SHARP] if SHARPEST in config.scenarios else []
+    sharp = [SENSORS + name for name in SHARP] if SHARPEST in config.scenarios and not config.as_s4 else []
     parts = [*config.scenarios, *sharp, *faults, LAW]
     found = run_parts(out, parts, partial(work_part, config), 1, on_progress)
     trials = {number: found[number] for number in config.scenarios}
@@ -111,7 +118,10 @@ class _Trial:
 
     def __init__(self, config: FiltersConfig, scenario: Scenario) -> None:
         self.scenario, seeds = scenario, list(range(config.first_seed, config.first_seed + config.seeds))
-        built = {name: _navigator(scenario, change, seeds) for name, change in scenario.filters.items()}
+        built = {
+            name: _navigator(scenario, deep_merge(change, OWN) if config.as_s4 else change, seeds)
+            for name, change in scenario.filters.items()
+        }
         self.navigators: dict[str, FilterNavigator] = built
         self.first = next(iter(built.values()))
         self.dt_s = self.first.config.dt_s
@@ -263,7 +273,12 @@ def table_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
 def sharp_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Scenario 10 by its sensors: largest errors of IMM and one model, RMS gained over each single model, median trust
     level; with 5 and 95 %."""
-    keys = ("max IMM-EKF", "max SM-EKF", *(f"rms of {name} less IMM-EKF" for name in ("SM-EKF", WIDE, CURVED)), "HTL median")
+    keys = (
+        "max IMM-EKF",
+        "max SM-EKF",
+        *(f"rms of {name} less IMM-EKF" for name in ("SM-EKF", WIDE, CURVED)),
+        "HTL median",
+    )
     return [
         (name, *(f"{figures[key][1]:.2f} ({figures[key][0]:.2f} .. {figures[key][2]:.2f})" for key in keys))
         for name, figures in result["sharp"].items()

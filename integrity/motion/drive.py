@@ -1,8 +1,8 @@
 """Scripted drives: true motion of vehicles on a road with speed limits, curves and traffic lights.
 
 They are inputs for the navigation without a driving environment. The motion is longitudinal only: each vehicle stays in
-the middle of its lane, accelerates and brakes within comfortable limits, and stops at red lights. Its heading is that of
-the lane, or that of a body whose rear axle follows.
+the middle of its lane, accelerates and brakes within comfortable limits, and stops at red lights. Its heading is that
+of the lane, or that of a body whose rear axle follows.
 """
 
 from __future__ import annotations

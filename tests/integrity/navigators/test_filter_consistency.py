@@ -1,7 +1,7 @@
 """NEES and NIS of the product where true and declared errors are the same: 300 cars that move as a model says.
 
-The kernels are those of the navigator (``run_filters``); the test draws truth and measurements by the declared laws. The
-bands hold a mean that is 1 with probability 0.999 each (chi-square, 300 cars).
+The kernels are those of the navigator (``run_filters``); the test draws truth and measurements by the declared laws.
+The bands hold a mean that is 1 with probability 0.999 each (chi-square, 300 cars).
 """
 
 import numpy as np
@@ -68,7 +68,7 @@ class World:
         self.bias = self.bias + h.bias_walk_radps * np.sqrt(DT) * n()
         push = a + self.force - noise
         self.force = self.force + m.accelerometer_walk * np.sqrt(DT) * n()
-        # the wheels show v (1 - s) and noise, as the filter's linear observation says; the odometer half an epoch before
+        # the wheels show v (1 - s) and noise, as the linear observation says; the odometer half an epoch before
         shown = (self.speed + m.speed_sigma_mps * n()) / (1.0 - self.scale) - 0.5 * DT * push
         compass = self.heading + self.deviation + np.deg2rad(m.compass_sigma_deg) * n()
         zero = np.zeros(CARS)

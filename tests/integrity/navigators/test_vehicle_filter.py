@@ -229,8 +229,9 @@ def test_the_levels_grow_by_the_misfit_only_where_configured():
 def test_a_misfit_beyond_its_limit_raises_an_alert():
     """40 m off, rejected: the mean NIS shows it within some seconds; limits are wide, so that nothing else alerts."""
     limits = {"al_at_m": 1e4, "al_ct_m": 1e4, "accuracy_at_m": None, "accuracy_ct_m": None}
-    (navigator, truths), (silent, others) = drives([1, 2], alert=limits), drives(
-        [1, 2], alert=limits, gate={"misfit_alert": None}
+    (navigator, truths), (silent, others) = (
+        drives([1, 2], alert=limits),
+        drives([1, 2], alert=limits, gate={"misfit_alert": None}),
     )
     seen, quiet = errors(navigator, truths, 130, shifted)[1], errors(silent, others, 130, shifted)[1]
     failed = AlertReason.INTEGRITY_TEST_FAILED.code
