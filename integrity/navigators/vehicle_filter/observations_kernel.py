@@ -130,7 +130,8 @@ def _steering(par: Any, wheel: WheelOdometry, models: Models, w: Vector) -> tupl
     variance = wheel.sigma_rate * wheel.sigma_rate
     w.z[0], w.h[0, YAW_RATE], w.r[0, 0] = wheel.rate, 1.0, variance * par.steering_factor
     w.single[0, 0] = variance + STEERING_MODEL_RADPS**2
-    return observe(models, w, 1, par.gate_motion, False)
+    nis, used = observe(models, w, 1, par.gate_motion, False)
+    return nis, used
 
 
 @jit
