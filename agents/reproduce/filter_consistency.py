@@ -14,12 +14,13 @@ from scipy.stats import ttest_rel, wilcoxon
 
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.motion.truth import Truth
-from lanebound.integrity.navigators.vehicle_filter.navigator import NIS, FilterNavigator
+from lanebound.integrity.navigators.vehicle_filter.navigator import FilterNavigator
 from lanebound.integrity.positioning.filters.vehicle_models import S
 
 __all__ = ["MARGIN_M", "Consistency", "paired"]
 
 Array = NDArray[np.float64]
+VECTORS = ("position", "wheels", "gyro", "steering", "slip", "compass")  # in the order of their NIS
 MOVING_MPS = 1.0  # slower, the course of the truth is not defined
 MARGIN_M = 0.05  # differences of RMS below this count as none; chosen
 LEAST = 6  # pairs
@@ -35,14 +36,14 @@ class Consistency:
     def __init__(self) -> None:
         self._nees: list[Array] = []
         self._slip: list[Array] = []
-        self._nis, self._count = np.zeros(len(NIS)), np.zeros(len(NIS))
+        self._nis, self._count = np.zeros(len(VECTORS)), np.zeros(len(VECTORS))
 
     def count(self, navigator: FilterNavigator, truth: Truth, sampled: bool) -> None:
         """Add an epoch; its states only where it is ``sampled``."""
         assert navigator.report is not None
         nis = navigator.report.nis
         used = np.isfinite(nis) & (nis > 0.0)
-        self._nis += np.where(used, nis, 0.0).sum(0) / np.array([2.0] + [1.0] * (len(NIS) - 1))
+        self._nis += np.where(used, nis, 0.0).sum(0) / np.array([2.0] + [1.0] * (len(VECTORS) - 1))
         self._count += used.sum(0)
         if sampled:
             self._sample(navigator, truth)
@@ -70,7 +71,7 @@ class Consistency:
         shares = self._nis / np.maximum(self._count, 1.0)
         return {
             **{f"NEES of {name}": float(value) for name, value in found.items()},
-            **{f"NIS of {name[4:]}": float(v) for name, v, n in zip(NIS, shares, self._count, strict=True) if n > 0},
+            **{f"NIS of {name}": float(v) for name, v, n in zip(VECTORS, shares, self._count, strict=True) if n > 0},
             "slip rms [deg]": float(np.rad2deg(np.sqrt(_mean(np.array(self._slip), (0, 1))))),
         }
 

@@ -19,6 +19,12 @@ from lanebound.integrity.navigators.vehicle_filter.parameters import filter_para
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     BIASES,
     COMMON,
+    COMPASS,
+    GNSS,
+    GYRO,
+    MOTION,
+    SLIPPING,
+    STEERING,
     VECTORS,
     VEHICLE,
     FilterOutputs,
@@ -35,7 +41,6 @@ __all__ = ["FilterNavigator", "FilterReport", "blank_state", "fix_of", "run_filt
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 EPOCH_US = 60.0  # of one thread for a vehicle and epoch, measured
-NIS = ("nis_position", "nis_wheels", "nis_gyro", "nis_steering", "nis_slip", "nis_compass")  # as GNSS, MOTION, ...
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,7 @@ class FilterNavigator(Navigator):
         """The belief after the measurements of one epoch; reads nothing else."""
         fix = locate_by_codes(self.config.position.codes, m)
         out = run_filters(self._parameters, self._cases, self.state.belief, _measured_of(m), fix_of(fix))
+        nis = np.ascontiguousarray(out.last_nis.T)
         self.report = FilterReport(out.trust, out.level_sbas, out.probability, out.nis, out.used, out.rejected)
         return replace(
             Solution.blank(m, self._cases.size), position_en_m=out.position, heading_rad=out.heading,
@@ -99,8 +105,8 @@ class FilterNavigator(Navigator):
             sigma_ct_m=out.sigma[:, 1].copy(), pl_at_m=out.levels[:, 0, 0].copy(), pl_ct_m=out.levels[:, 0, 1].copy(),
             pl_cases_m=out.levels, mode=out.mode, alert=out.alert, available=out.available, reason=out.reason,
             hdop=fix.hdop, satellites=fix.satellites, excluded=fix.excluded + out.rejected, model_curved=out.curved,
-            **{name: out.last_nis[:, k].copy() for k, name in enumerate(NIS)}, trust_m=out.trust,
-            hpl_sbas_m=out.level_sbas,
+            nis_position=nis[GNSS], nis_wheels=nis[MOTION], nis_gyro=nis[GYRO], nis_steering=nis[STEERING],
+            nis_slip=nis[SLIPPING], nis_compass=nis[COMPASS], trust_m=out.trust, hpl_sbas_m=out.level_sbas,
         )  # fmt: skip
 
 

@@ -244,7 +244,7 @@ def test_a_misfit_beyond_its_limit_raises_an_alert():
 
 
 def test_a_filter_that_rejects_for_long_doubts_itself():
-    """After 3 s of rejections it begins anew, 40 m off; its exact levels hold the distance, the published one does not."""
+    """After 3 s of rejections it begins anew, 40 m off; exact levels hold the distance, the published one does not."""
     published = [{"integrity_risk": 1e-7, "variant": "published"}]
     change = {"gate": {"lost_s": 3.0, "misfit_alert": None}, "compass": {"fitted": True}, "more_levels": published}
     navigator, truths = drives([1, 2], **change)
