@@ -59,7 +59,8 @@ class EgoBelief:
     hdop, satellites, satellites_doppler, excluded : as in Solution
     since_rtk_s, since_calibration_s, corrections_age_s : inf for never
     context_warning, context_phases, context_score, link_probability : of the context monitor; 0 without one
-    model_curved, nis_position, nis_wheels, trust_m, sdop : as in Solution
+    model_curved, nis_position, nis_wheels, nis_gyro, nis_steering, nis_slip, nis_compass, trust_m, sdop : as in
+        Solution
     """
 
     time_s: float
@@ -96,6 +97,10 @@ class EgoBelief:
     model_curved: float
     nis_position: float
     nis_wheels: float
+    nis_gyro: float
+    nis_steering: float
+    nis_slip: float
+    nis_compass: float
     trust_m: float
     sdop: float
     context_warning: bool = False

@@ -30,6 +30,7 @@ __all__ = [
     "exceedance_rows",
     "mode_rows",
     "rate_by_street",
+    "sbas_rows",
     "trust_rows",
     "work_street",
 ]
@@ -92,14 +93,15 @@ def work_street(config: InTheLoopConfig, sky: str, number: int, advance: Advance
 class _Tally:
     """Counts of a street by mode: epochs, exceedances by risk and axis, usable and misleading epochs.
 
-    Of the trust level of a filter: epochs with one, with a horizontal error beyond it, with one below NEAR_M.
+    Of the trust level of a filter: epochs with one, with a horizontal error beyond it, with one below NEAR_M. Of the
+    SBAS level of its positions: epochs with one, with an error of the filter beyond it, and their sum [m].
     """
 
     def __init__(self, config: InTheLoopConfig) -> None:
         modes, risks = max(Mode) + 1, len(config.risks)
         self.epochs, self.usable, self.misleading = np.zeros((3, modes), dtype=np.int64)
         self.exceed = np.zeros((modes, risks, 2), dtype=np.int64)
-        self.trust = np.zeros(3, dtype=np.int64)
+        self.trust, self.sbas = np.zeros(3, dtype=np.int64), np.zeros(3)
 
     def count(self, moment: DriveMoment) -> None:
         """Add an epoch."""
@@ -111,6 +113,8 @@ class _Tally:
         np.add.at(self.misleading, s.mode, s.available & ~s.alert & beyond[:, 0].any(-1))
         off, there = np.linalg.norm(moment.error_m, axis=-1), np.isfinite(s.trust_m) & np.isfinite(s.pl_at_m)
         self.trust += [there.sum(), (there & (off > s.trust_m)).sum(), (there & (s.trust_m < NEAR_M)).sum()]
+        both = there & np.isfinite(s.hpl_sbas_m)
+        self.sbas += [both.sum(), (both & (off > s.hpl_sbas_m)).sum(), s.hpl_sbas_m[both].sum()]
 
     def counts(self) -> dict[str, Any]:
         """The counts as plain data."""
@@ -120,6 +124,7 @@ class _Tally:
             "misleading": self.misleading.tolist(),
             "exceed": self.exceed.tolist(),
             "trust": self.trust.tolist(),
+            "sbas": self.sbas.tolist(),
         }
 
 
@@ -151,6 +156,9 @@ def _summary(config: InTheLoopConfig, streets: Sequence[Mapping[str, Any]]) -> d
         found["trust"] = rate_by_street(beyond, with_trust) | {
             "epochs": int(with_trust.sum()), "below": float(near.sum() / with_trust.sum()),
         }  # fmt: skip
+    with_sbas, outside, total = np.array([street["sbas"] for street in streets]).sum(0)
+    if with_sbas:
+        found["sbas"] = {"epochs": int(with_sbas), "beyond": float(outside / with_sbas), "mean_m": total / with_sbas}
     return found | {"modes": _modes(epochs, exceed, mode, along, across)}
 
 
@@ -238,3 +246,13 @@ def trust_rows(result: Mapping[str, Any]) -> Table:
         if (t := found.get("trust")) is not None
     ]
     return ("sky", "epochs with one", "errors beyond it (rate)", "in streets", f"below {NEAR_M:g} m"), rows
+
+
+def sbas_rows(result: Mapping[str, Any]) -> Table:
+    """HPL_SBAS of the positions by codes beside it: its mean, and how often the filter's error is beyond it."""
+    rows: list[tuple[str, ...]] = [
+        (sky, f"{s['epochs']:,}", f"{s['mean_m']:.2f} m", f"{s['beyond']:.2g}")
+        for sky, found in result["skies"].items()
+        if (s := found.get("sbas")) is not None
+    ]
+    return ("sky", "epochs with one", "mean", "errors of the filter beyond it"), rows

@@ -209,6 +209,7 @@ def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: 
         assess_in_the_loop,
         exceedance_rows,
         mode_rows,
+        sbas_rows,
         trust_rows,
     )
     from lanebound.agents.cli.output import print_json, print_table
@@ -225,6 +226,9 @@ def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: 
     heads, trusted = trust_rows(result)
     if trusted:
         print_table("Horizontal trust level, 6 sigma of the longer axis (S4 section II-F)", heads, trusted)
+    heads, by_sbas = sbas_rows(result)
+    if by_sbas:
+        print_table("HPL_SBAS, en route, of the positions by codes (DO-229)", heads, by_sbas)
     typer.echo(f"A rate over the risk above 1 breaks the promise.\nresults.json: {out}")
 
 

@@ -399,7 +399,8 @@ def _print_filter(found: dict[str, Any]) -> None:
     for name in ("horizontal_m", "positions_m"):
         rows += [(f"{name} {key}", value) for key, value in (found[name] or {}).items()]
     rows += [(f"trust level {key}", value) for key, value in found["trust"].items()]
-    print_table(f"{found['navigator']} ({found['filter']}) on {found['recording']}", ("", "value"), rows)
+    used = ", ".join(found["sensors"])
+    print_table(f"{found['filter']} of {found['navigator']} on {found['recording']}: {used}", ("", "value"), rows)
     levels = [
         [risk, axis, c["epochs"], c["exceeded"], f"{c['rate_low']:.2g} to {c['rate_high']:.2g}", c["pl_median_m"]]
         for risk, axes in found["levels"].items()

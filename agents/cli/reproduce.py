@@ -78,7 +78,8 @@ def filters(
     heads = "trial", "figure", "paper", "ours", "5 .. 95 %"
     print_table(f"S4 against ours: medians over {result['seeds']} drives [m]", heads, table_rows(result))
     if result["sharp"]:
-        sensors = "sensors", "largest, IMM-EKF", "largest, SM-EKF", "RMS gained by IMM", "HTL"
+        models = "SM-EKF", "SM-EKF, yaw noise of CM", "CM-EKF"
+        sensors = "sensors", "largest, IMM", "largest, SM-EKF", *(f"RMS gained over {name}" for name in models), "HTL"
         print_table("Scenario 10 with better sensors [m]; S4: below 3, -, 0.48, -", sensors, sharp_rows(result))
     log = "static log", "S4", "ours", "5 .. 95 %"
     print_table("Warm-up error of accelerometers: the fit of logs made by S4's law", log, law_rows(result["law"]))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lanebound.agents.assess.fault_response import LOOP_M
 from lanebound.agents.checkpointing.runner import Advance, ignore
-from lanebound.agents.reproduce.filter_scenarios import EQUIPMENT
+from lanebound.agents.reproduce.filter_scenarios import AXLE_M, EQUIPMENT
 from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.core.streams import Streams
@@ -68,7 +68,7 @@ def work_fault(name: str, vehicles: int, first_seed: int, advance: Advance = ign
     navigators = {key: _navigator(change, FAULTS[name], seeds) for key, change in FILTERS.items()}
     first = next(iter(navigators.values()))
     road = Road.through(np.array(LOOP_M), corner_radius_m=25.0, closed=True, lane_count=2, lane_width_m=3.25)
-    car, traffic, dt = CityDrive(road, DriveConfig(), first.config.dt_s), Streams(seeds), first.config.dt_s
+    car, traffic, dt = CityDrive(road, DriveConfig(), first.config.dt_s, AXLE_M), Streams(seeds), first.config.dt_s
     state = car.start(traffic, spread_m=road.length_m)
     for navigator in navigators.values():
         navigator.place(state.position_m.copy(), state.heading_rad.copy(), 1.0, np.deg2rad(1.0))

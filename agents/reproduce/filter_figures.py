@@ -22,6 +22,8 @@ COLOURS = {
     "EKF": "#1b6ca8",
     "UKF": "#c2571a",
     "SM-EKF": "#c2571a",
+    "SM-EKF, yaw noise of curved": "#d9a441",
+    "CM-EKF": "#7a3e9d",
 }
 SHADE = "#e8e8ea"
 

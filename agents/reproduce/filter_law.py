@@ -35,7 +35,7 @@ def work_law(logs: int, first_seed: int, advance: Advance = ignore) -> dict[str,
     for k in range(logs):
         noise = NOISE_MPS2 * named_generator(first_seed + k, "static log").standard_normal(time_s.size)
         error = PUBLISHED.error_mps2(time_s) + noise
-        law = fit_inertial_law(time_s, error)
+        law = fit_inertial_law(time_s, error).law
         left = error - law.error_mps2(time_s)
         drifts = (abs(drift_m(time_s, a, AFTER_S)) for a in (error, left))
         found.append([law.c1_mps2, law.c2_mps2, law.tau_s, left.mean(), left.std(), *drifts])

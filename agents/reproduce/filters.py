@@ -10,15 +10,24 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
-from scipy.stats import wilcoxon
 
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.reproduce.filter_consistency import Consistency, paired
 from lanebound.agents.reproduce.filter_faults import FAULTS, work_fault
 from lanebound.agents.reproduce.filter_figures import save_figures
 from lanebound.agents.reproduce.filter_law import work_law
-from lanebound.agents.reproduce.filter_scenarios import EQUIPMENT, SCENARIOS, SHARP, Scenario, disturbed
+from lanebound.agents.reproduce.filter_scenarios import (
+    AXLE_M,
+    CURVED,
+    EQUIPMENT,
+    SCENARIOS,
+    SHARP,
+    WIDE,
+    Scenario,
+    disturbed,
+)
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import Streams, named_generator
@@ -35,6 +44,9 @@ PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce", "lanebound.agen
 FAULT, SENSORS, LAW = "fault ", "sensors ", "law"
 """What names of parts begin with: faults, scenario 10 with better sensors, and the fit of static logs."""
 SHARPEST = "10"
+PLAIN = "as scenario 10: gyro bias 0.1 deg/s, declared 0.4"
+OWN: Mapping[str, Any] = {"sensor_errors": False, "position": {"excess_tau_s": 0.0}}
+"""What our additions are, taken away."""
 EVERY = 10  # epochs between the moments kept for figures
 
 
@@ -45,6 +57,11 @@ class FiltersConfig(Config):
     first_seed: int = Field(1, ge=0, description="of the drives")
     scenarios: tuple[str, ...] = Field(tuple(SCENARIOS), min_length=1, description="numbers of S4's table I")
     vehicles: int = Field(40, ge=0, le=2000, description="vehicles that meet each fault; 0: no faults [-]")
+    as_s4: bool = Field(
+        False,
+        description="S4's own filters in the trials: no states of sensor errors, no memory of innovations; scenario 10 "
+        "with its own sensors alone",
+    )
 
     @model_validator(mode="after")
     def _scenarios_are_known(self) -> Self:
@@ -64,15 +81,16 @@ def run_filters(config: FiltersConfig, out: Path, on_progress: OnProgress = igno
     """
     ResultFolder(out, "filter study", config.to_dict(), code_digest(*PACKAGES)).claim()
     faults = [FAULT + name for name in FAULTS] if config.vehicles else []
-    sharp = [SENSORS + name for name in SHARP] if SHARPEST in config.scenarios else []
+    sharp = [SENSORS + name for name in SHARP] if SHARPEST in config.scenarios and not config.as_s4 else []
     parts = [*config.scenarios, *sharp, *faults, LAW]
     found = run_parts(out, parts, partial(work_part, config), 1, on_progress)
     trials = {number: found[number] for number in config.scenarios}
     tables = {number: {key: value for key, value in part.items() if key != "series"} for number, part in trials.items()}
     met = {name.removeprefix(FAULT): found[name] for name in faults}
+    plain = {PLAIN: found[SHARPEST]["figures"]} if sharp else {}
     result = {
         "seeds": config.seeds, "scenarios": tables, "faults": met, "law": found[LAW],
-        "sharp": {name.removeprefix(SENSORS): found[name]["figures"] for name in sharp},
+        "sharp": plain | {name.removeprefix(SENSORS): found[name]["figures"] for name in sharp},
     }  # fmt: skip
     write_json(out / "tables.json", result)
     save_figures(trials, out)
@@ -100,12 +118,15 @@ class _Trial:
 
     def __init__(self, config: FiltersConfig, scenario: Scenario) -> None:
         self.scenario, seeds = scenario, list(range(config.first_seed, config.first_seed + config.seeds))
-        built = {name: _navigator(scenario, change, seeds) for name, change in scenario.filters.items()}
+        built = {
+            name: _navigator(scenario, deep_merge(change, OWN) if config.as_s4 else change, seeds)
+            for name, change in scenario.filters.items()
+        }
         self.navigators: dict[str, FilterNavigator] = built
         self.first = next(iter(built.values()))
         self.dt_s = self.first.config.dt_s
         self.traffic = Streams(seeds)
-        self.car = CityDrive(scenario.road, scenario.drive, self.dt_s)
+        self.car = CityDrive(scenario.road, scenario.drive, self.dt_s, AXLE_M)
         self.state = self.car.start(self.traffic)
         drawn = np.stack([named_generator(seed, "start").standard_normal(4) for seed in seeds])
         self.azimuth_rad = np.pi * np.tanh(drawn[:, 3])
@@ -119,6 +140,7 @@ class _Trial:
         self.trust: dict[str, list[Array]] = {name: [] for name in built}
         self.sigma: dict[str, list[Array]] = {name: [] for name in built}
         self.beyond = {name: np.zeros(2, np.int64) for name in built}
+        self.consistency = {name: Consistency() for name in built}
         self.curved: list[Array] = []
         self.quality: list[bool] = []
         self.rejected = np.zeros((2, 2), np.int64)  # right and spurious positions: rejected, used
@@ -141,6 +163,7 @@ class _Trial:
             self.sigma[name].append(np.sqrt(np.trace(solution.covariance_en_m2, axis1=-2, axis2=-1)))
             level = np.hypot(solution.pl_at_m, solution.pl_ct_m)
             self.beyond[name] += [int((error > navigator.report.htl_m).sum()), int((error > level).sum())]
+            self.consistency[name].count(navigator, truth, sampled=k % EVERY == 0)
             if k % EVERY == 0:
                 self.path[name].append(solution.position_en_m[0].tolist())
         self._count(time_s)
@@ -182,11 +205,11 @@ class _Trial:
         htl = np.array(list(self.trust.values())[-1])
         figures["HTL median"] = _spread(np.median(htl, axis=0))
         figures["HTL below 7 m"] = _spread((htl < 7.0).mean(0))
-        names = list(self.navigators)
-        if self.scenario.compared:
-            rms = [np.sqrt(np.square(error[name]).mean(0)) for name in names]
-            figures["rms gained"] = _spread(rms[0] - rms[1])
-            figures["paired p"] = float(wilcoxon(rms[0], rms[1]).pvalue) if rms[0].size > 5 else None
+        for name, kept in self.consistency.items():
+            figures |= {f"{key}, {name}": value for key, value in kept.figures().items()}
+        for more, less in self.scenario.compared:
+            rms = [np.sqrt(np.square(error[name]).mean(0)) for name in (more, less)]
+            figures |= paired(f"rms of {more} less {less}", *rms)
         for kind, label in enumerate(("right", "spurious")):
             total = int(self.rejected[kind].sum())
             figures[f"{label} positions rejected"] = self.rejected[kind, 0] / total if total else None
@@ -248,8 +271,14 @@ def table_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def sharp_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Scenario 10 by its sensors: largest errors of both filters, RMS gained, median trust level; with 5 and 95 %."""
-    keys = ("max IMM-EKF", "max SM-EKF", "rms gained", "HTL median")
+    """Scenario 10 by its sensors: largest errors of IMM and one model, RMS gained over each single model, median trust
+    level; with 5 and 95 %."""
+    keys = (
+        "max IMM-EKF",
+        "max SM-EKF",
+        *(f"rms of {name} less IMM-EKF" for name in ("SM-EKF", WIDE, CURVED)),
+        "HTL median",
+    )
     return [
         (name, *(f"{figures[key][1]:.2f} ({figures[key][0]:.2f} .. {figures[key][2]:.2f})" for key in keys))
         for name, figures in result["sharp"].items()

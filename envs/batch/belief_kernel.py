@@ -52,6 +52,10 @@ class Fixes(NamedTuple):
     model_curved: Array
     nis_position: Array
     nis_wheels: Array
+    nis_gyro: Array
+    nis_steering: Array
+    nis_slip: Array
+    nis_compass: Array
     trust_m: Array
     sdop: Array
 
@@ -70,7 +74,8 @@ def adopt(t, b, fixes, v):  # type: ignore[no-untyped-def]
     b.context_warning, b.context_phases = fixes.context_warning[v], fixes.context_phases[v]
     b.context_score, b.link_probability = fixes.context_score[v], fixes.link_probability[v]
     b.model_curved, b.trust_m, b.sdop = fixes.model_curved[v], fixes.trust_m[v], fixes.sdop[v]
-    b.nis_position, b.nis_wheels = fixes.nis_position[v], fixes.nis_wheels[v]
+    b.nis_position, b.nis_wheels, b.nis_gyro = fixes.nis_position[v], fixes.nis_wheels[v], fixes.nis_gyro[v]
+    b.nis_steering, b.nis_slip, b.nis_compass = fixes.nis_steering[v], fixes.nis_slip[v], fixes.nis_compass[v]
 
 
 @jit(borrows=True)

@@ -118,6 +118,10 @@ BELIEF = record(
     model_curved="probability of the curved model of a filter, 0 without",
     nis_position="of the last position of a filter, 0 without",
     nis_wheels="of the last wheel speed of a filter, 0 without",
+    nis_gyro="of the last integrated gyro of a filter, 0 without",
+    nis_steering="of the last steering angle of a filter, 0 without",
+    nis_slip="of the last slip by the geometry, 0 without",
+    nis_compass="of the last compass heading of a filter, 0 without",
     trust_m="horizontal trust level of a filter, inf without",
     sdop="speed dilution of precision, inf without a Doppler velocity",
 )

@@ -31,8 +31,8 @@ class ObservationConfig(Config):
     )
     filters: bool = Field(
         False,
-        description="model probability, NIS and trust level have entries; an environment sets it for navigator.kind: "
-        "filter",
+        description="model probability, NIS of each sensor vector and trust level have entries; an environment sets it "
+        "for navigator.kind: filter",
     )
     speed_geometry: bool = Field(
         False,

@@ -206,6 +206,12 @@ def _filters(c: ObservationConfig, g: _Group) -> list[Entry]:
                    "belief.model_curved"),
         g.positive("nis_position", "", c.nis_max, f"{nis} GNSS position; {missing}", "belief.nis_position"),
         g.positive("nis_wheels", "", c.nis_max, f"{nis} wheel speed; {missing}", "belief.nis_wheels"),
+        g.positive("nis_gyro", "", c.nis_max, f"{nis} integrated gyro; {missing}", "belief.nis_gyro"),
+        g.positive("nis_steering", "", c.nis_max, f"{nis} steering angle; {missing} and where not fitted",
+                   "belief.nis_steering"),
+        g.positive("nis_slip", "", c.nis_max, f"{nis} slip by the geometry; {missing}", "belief.nis_slip"),
+        g.positive("nis_compass", "", c.nis_max, f"{nis} compass heading; {missing} and where not fitted",
+                   "belief.nis_compass"),
         g.positive("trust", "m", c.pl_max_m, "horizontal trust level of the filter; 1 when missing", "belief.trust_m"),
     ]  # fmt: skip
 

@@ -1,7 +1,8 @@
 """Scripted drives: true motion of vehicles on a road with speed limits, curves and traffic lights.
 
 They are inputs for the navigation without a driving environment. The motion is longitudinal only: each vehicle stays in
-the middle of its lane, accelerates and brakes within comfortable limits, and stops at red lights.
+the middle of its lane, accelerates and brakes within comfortable limits, and stops at red lights. Its heading is that
+of the lane, or that of a body whose rear axle follows.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pydantic import Field
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range
+from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sky.road import Road
@@ -22,6 +24,7 @@ from lanebound.integrity.sky.road import Road
 __all__ = ["CityDrive", "DriveConfig", "DriveState"]
 
 Array = NDArray[np.float64]
+SUBSTEPS = 8  # of an epoch, for the heading of a body
 
 
 class DriveConfig(Config):
@@ -52,6 +55,7 @@ class DriveState:
     wait_s: Array
     position_m: Array
     heading_rad: Array
+    course_rad: Array
 
     def copy(self) -> DriveState:
         """An independent copy."""
@@ -68,17 +72,22 @@ class CityDrive:
     config : DriveConfig
     dt_s : float
         Length of a navigation epoch.
+    axle_m : float
+        The point that follows the lane lies so far ahead of the rear axle, which does not slip sideways. In bends the
+        course then differs from the heading h by the slip: ``h' = v sin(course - h) / axle_m``. 0: heading and course
+        are one.
 
     Raises
     ------
     InputError
-        ``dt_s`` is not positive, or the lane lies beyond the centre of a curve.
+        ``dt_s`` is not positive, ``axle_m`` is negative, or the lane lies beyond the centre of a curve.
     """
 
-    def __init__(self, road: Road, config: DriveConfig, dt_s: float = 0.1) -> None:
+    def __init__(self, road: Road, config: DriveConfig, dt_s: float = 0.1, axle_m: float = 0.0) -> None:
         if not float(require_finite("dt_s", dt_s)) > 0.0:
             raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of an epoch in seconds")
-        self.road, self.config, self.dt_s = road, config, dt_s
+        require_in_range("axle_m", axle_m, 0.0, 20.0)
+        self.road, self.config, self.dt_s, self.axle_m = road, config, dt_s, axle_m
         tangent = road.tangent_rad - road.tangent_rad[0]
         lateral = float(road.lane_lateral_m(config.lane))
         self._lane_at_m = road.arc_at_m - lateral * tangent  # exact, because the tangent is linear between vertices
@@ -140,6 +149,7 @@ class CityDrive:
             wait_s=np.zeros(streams.batch),
             position_m=position,
             heading_rad=heading,
+            course_rad=heading,
         )
 
     def _pose(self, arc_m: Array) -> tuple[Array, Array]:
@@ -165,9 +175,10 @@ class CityDrive:
         speed = np.where(speed < 0.05, np.where(allowed < 0.05, 0.0, speed), speed)
         arc = self._advance_arc(state.arc_m, 0.5 * (speed + state.speed_mps) * dt)
         self._lights(state, to_light, speed, u)
-        position, heading = self._pose(arc)
-        v0 = state.speed_mps[:, None] * np.column_stack([np.sin(state.heading_rad), np.cos(state.heading_rad)])
-        v1 = speed[:, None] * np.column_stack([np.sin(heading), np.cos(heading)])
+        position, course = self._pose(arc)
+        heading = self._body_heading(state, course, 0.5 * (speed + state.speed_mps) * dt)
+        v0 = state.speed_mps[:, None] * np.column_stack([np.sin(state.course_rad), np.cos(state.course_rad)])
+        v1 = speed[:, None] * np.column_stack([np.sin(course), np.cos(course)])
         truth = truth_between(
             state.time_s + dt,
             dt,
@@ -179,7 +190,19 @@ class CityDrive:
         )
         state.time_s += dt
         state.arc_m, state.speed_mps, state.position_m, state.heading_rad = arc, speed, position, heading
+        state.course_rad = course
         return truth
+
+    def _body_heading(self, state: DriveState, course: Array, distance_m: Array) -> Array:
+        """Heading at the end of an epoch, by the midpoint rule; the course changes evenly along it."""
+        if self.axle_m == 0.0:
+            return course
+        heading, turned = state.heading_rad, wrap_angle(course - state.course_rad)
+        step = distance_m / (SUBSTEPS * self.axle_m)
+        for k in range(SUBSTEPS):
+            middle = heading + 0.5 * step * np.sin(state.course_rad + k / SUBSTEPS * turned - heading)
+            heading = heading + step * np.sin(state.course_rad + (k + 0.5) / SUBSTEPS * turned - middle)
+        return np.asarray(wrap_angle(heading))
 
     def _allowed_speed(self, state: DriveState, to_light: Array) -> Array:
         """Largest speed that allows a comfortable stop at a red light or at the end of an open road."""

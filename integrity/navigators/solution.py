@@ -78,9 +78,11 @@ class Solution:
     doubt_en_m : (B, 2) RTK's position less the one reckoned while RTK is not believed, which the levels cover; else 0
         (:mod:`~lanebound.integrity.monitoring.jump_kernel`)
     model_curved : (B,) probability of the curved vehicle model of a filter; 0 of other kinds
-    nis_position, nis_wheels : (B,) normalised innovation squared of the last GNSS position and of the last wheel speed
-        of a filter; 0 before, and of other kinds
+    nis_position, nis_wheels, nis_gyro, nis_steering, nis_slip, nis_compass : (B,) normalised innovation squared of the
+        last GNSS position, wheel speed, integrated gyro, steering angle, slip by the geometry and compass heading of a
+        filter; 0 before, of sensors that are not fitted, and of other kinds
     trust_m : (B,) horizontal trust level of a filter; inf without one, and of other kinds
+    hpl_sbas_m : (B,) level of SBAS of the position by codes of a filter that uses SBAS; inf without one, and of others
     sdop : (B,) speed dilution of precision of the Doppler velocity, 1 sigma of the speed over that of one range rate at
         the zenith; inf without one, and of other kinds
     context : of the context monitor, None without one
@@ -115,7 +117,12 @@ class Solution:
     model_curved: Array
     nis_position: Array
     nis_wheels: Array
+    nis_gyro: Array
+    nis_steering: Array
+    nis_slip: Array
+    nis_compass: Array
     trust_m: Array
+    hpl_sbas_m: Array
     sdop: Array
     context: ContextReport | None = None
 
@@ -132,7 +139,8 @@ class Solution:
             reason=none + AlertReason.INITIALISING.code, hdop=inf, satellites=none, satellites_doppler=none,
             excluded=none, since_rtk_s=inf, since_calibration_s=inf, corrections_age_s=m.gnss.corrections_age_s,
             wrong_fix_risk=zero, held=np.zeros((batch, satellites), np.bool_), doubt_en_m=np.zeros((batch, 2)),
-            model_curved=zero, nis_position=zero, nis_wheels=zero, trust_m=inf, sdop=inf,
+            model_curved=zero, nis_position=zero, nis_wheels=zero, nis_gyro=zero, nis_steering=zero, nis_slip=zero,
+            nis_compass=zero, trust_m=inf, hpl_sbas_m=inf, sdop=inf,
         )  # fmt: skip
 
     def rows(self, rows: NDArray[np.int64]) -> Solution:

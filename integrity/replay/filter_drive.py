@@ -24,7 +24,7 @@ from lanebound.integrity.navigators.vehicle_filter.navigator import blank_state,
 from lanebound.integrity.navigators.vehicle_filter.parameters import filter_parameters, level_cases
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import FilterOutputs, MeasuredMotion, PositionFix
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings
-from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
+from lanebound.integrity.positioning.filters.code_position import CodePosition, CodeSource, locate_by_codes
 from lanebound.integrity.recorded.comma import Comma
 from lanebound.integrity.recorded.smartloc import SmartLoc
 from lanebound.integrity.replay.code_epochs import path_headings, recorded_epochs
@@ -66,11 +66,17 @@ class FilterReplayConfig(Config):
         Raises
         ------
         ConfigError
-            The navigator is of another kind.
+            The navigator is of another kind, or takes positions that recordings do not hold.
         """
         c = self.navigator
         if not isinstance(c, FilterConfig):
             raise ConfigError(f"navigator must be of kind filter, got {c.kind}: give filter or imm_s4")
+        source = c.position.codes.source
+        if source is not CodeSource.UNDIFFERENCED:
+            raise ConfigError(
+                f"navigator.position.codes.source must be undifferenced for a recording, which holds no corrections, "
+                f"got {source.value}: give filter or imm_s4, or set it"
+            )
         levels = [{"integrity_risk": risk} for risk in self.risks]
         return c.replace(
             dt_s=dt_s, chassis={"fitted": False}, compass={"fitted": False}, more_levels=levels,
@@ -84,7 +90,8 @@ class SensorDrive:
 
     time_s (T,), every dt_s; turn_rad (T,) increments to the right, speed_mps (T,) at the epochs; fix: positions by
     codes or of the receiver, of T rows; course_rad, course_sigma_rad (T,): a heading that begins a filter, inf where
-    there is none; truth_m (T, 2), known (T,); lacking: sensors that the recording does not have.
+    there is none; truth_m (T, 2), known (T,); instruments: what the filter takes of the
+    recording; lacking: sensors that it does not have.
     """
 
     time_s: Array
@@ -96,6 +103,7 @@ class SensorDrive:
     course_sigma_rad: Array
     truth_m: Array
     known: Bools
+    instruments: tuple[str, ...]
     lacking: tuple[str, ...]
 
 
@@ -127,6 +135,7 @@ def comma_sensors(segment: Comma, config: FilterReplayConfig, dt_s: float = 0.1)
     InputError
         The segment has no positions of its receiver.
     """
+    config.filter_of(dt_s)
     if segment.fixes is None:
         raise InputError("segment must have GNSS/live_gnss_ublox, has none: the filter needs positions")
     f, r, gyro = segment.fixes, segment.reference, segment.rotation_rate
@@ -149,6 +158,7 @@ def comma_sensors(segment: Comma, config: FilterReplayConfig, dt_s: float = 0.1)
         _receiver_fix(config, place[newest] + age[:, None] * velocity[newest], velocity[newest], age <= FRESH_S),
         np.zeros(at.size), np.full(at.size, np.inf),
         np.stack([np.interp(at, r.time_s, truth[:, k]) for k in range(2)], -1), np.ones(at.size, np.bool_),
+        ("positions and velocities of the receiver", "yaw gyro", "speed of the wheels"),
         ("codes with ephemerides, so positions have no geometry and no test of residuals",
          "wheel angle: that of the hand wheel is recorded, its ratio is not", "compass",
          "accelerometers along the axes of the car: the phone is tilted by some 3 degrees", "lever arms"),
@@ -185,6 +195,7 @@ def smartloc_sensors(drive: SmartLoc, config: FilterReplayConfig) -> SensorDrive
         e.time_s - e.time_s[0], dt_s, np.diff(heading, prepend=heading[0]),
         np.interp(e.time_s, o.time_s, o.speed_mps), fix, turn + heading, spread, tracked.truth_enu_m[:, :2],
         tracked.known,
+        ("codes", "yaw rate", "speed of the wheels"),
         ("accelerometers", "wheel angle", "compass", "range rates, for a first heading", "lever arms"),
     )  # fmt: skip
 

@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import bootstrap
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.reproduce import filter_faults, filter_scenarios, filters
+from lanebound.agents.reproduce.filter_consistency import paired
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.drive import CityDrive
@@ -53,18 +55,20 @@ def test_a_trial_writes_its_table_and_figures(short, tmp_path):
     assert rows[[r[1] for r in rows].index("max IMM-EKF")][:3] == ("6", "max IMM-EKF", "15")
 
 
-def test_sharp_turns_end_after_390_m_and_a_calibrated_gyro_halves_their_error(tmp_path, monkeypatch):
+def test_sharp_turns_of_390_m_with_slip_by_all_models_and_with_a_calibrated_gyro(tmp_path, monkeypatch):
     """S4's course of 390 m without GNSS, below 3 m with a calibrated gyro; 8 drives."""
-    kept = {name: trial for name, trial in filter_scenarios.SHARP.items() if "scenario" in name or "at rest" in name}
+    kept = {name: trial for name, trial in filter_scenarios.SHARP.items() if "at rest" in name}
     monkeypatch.setattr(filters, "SHARP", kept)
     scenario = filter_scenarios.SCENARIOS["10"]
-    car, traffic = CityDrive(scenario.road, scenario.drive, 0.1), Streams([1])
-    state, driven = car.start(traffic), 0.0
+    car, traffic = CityDrive(scenario.road, scenario.drive, 0.1, filter_scenarios.AXLE_M), Streams([1])
+    state, driven, slip = car.start(traffic), 0.0, 0.0
     for _ in range(round(10 * scenario.length_s)):
         before = state.position_m.copy()
         car.step(state, traffic)
         driven += float(np.linalg.norm(state.position_m - before))
+        slip = max(slip, abs(float(np.sin(state.course_rad - state.heading_rad)[0])))
     assert driven == pytest.approx(390.0, abs=0.5)
+    assert slip == pytest.approx(1.35 / 10.0, rel=0.05)  # bends of 10 m
     config = filters.FiltersConfig(seeds=8, scenarios=("10",), vehicles=0)
     result = filters.run_filters(config, tmp_path / "sharp")
     plain, calibrated = (figures["max IMM-EKF"][1] for figures in result["sharp"].values())
@@ -72,6 +76,30 @@ def test_sharp_turns_end_after_390_m_and_a_calibrated_gyro_halves_their_error(tm
     assert calibrated < 3.0
     assert calibrated < 0.7 * plain
     assert len(filters.sharp_rows(result)) == 2
+    figures = result["scenarios"]["10"]["figures"]
+    for other in ("SM-EKF", filter_scenarios.WIDE, filter_scenarios.CURVED):  # each single model is compared
+        assert f"rms of {other} less IMM-EKF, p of a difference" in figures
+    slips = {name: figures[f"slip rms [deg], {name}"] for name in ("SM-EKF", filter_scenarios.CURVED, "IMM-EKF")}
+    assert max(slips["IMM-EKF"], slips[filter_scenarios.CURVED]) < 0.5 * slips["SM-EKF"]
+    assert figures["NEES of slip, IMM-EKF"] < 1.0 < figures["NEES of slip, SM-EKF"]
+    assert 0.0 < figures["NIS of compass, IMM-EKF"] < 1.0
+
+
+def test_paired_differences_have_an_interval_and_a_test_of_equivalence():
+    """Against closed forms: 90 % by Student's law, TOST at the margin of 0.05 m."""
+    rng = np.random.default_rng(4)
+    less = rng.random(50)
+    more = less + 0.01 + 0.02 * rng.standard_normal(50)
+    found = paired("d", more, less)
+    apart = more - less
+    low, mean, high = found["d, mean and 90 %"]
+    inside = bootstrap((apart,), np.mean, confidence_level=0.9, rng=np.random.default_rng(1)).confidence_interval
+    np.testing.assert_allclose([low, mean, high], [inside.low, apart.mean(), inside.high], atol=1.5e-3)
+    assert found["d, p of one beyond 0.05 m"] < 1e-6  # equivalent at the margin, though
+    assert found["d, p of a difference"] < 0.05  # different
+    wide = paired("d", less + 0.06 + 0.02 * rng.standard_normal(50), less)
+    assert wide["d, p of one beyond 0.05 m"] > 0.5
+    assert paired("d", less, less) == {"d": [0.0, 0.0, 0.0]}
 
 
 def test_an_unknown_scenario_is_refused():
@@ -92,5 +120,9 @@ def test_a_static_log_is_fitted_by_the_command(tmp_path):
     )
     assert abs(abs(found["drift_before_m"]) - 12.9) < 0.1
     assert abs(found["drift_after_m"]) < 1e-3
+    assert found["constant"] is None
+    log.write_text("time_s,forward\n" + "\n".join(f"{t},-0.007" for t in time_s) + "\n")
+    done = CliRunner().invoke(app, ["fit-imu", str(log)])
+    assert "forward: a constant is fitted; the log is constant." in done.stdout
     missing = CliRunner().invoke(app, ["fit-imu", str(tmp_path / "none.csv")])
     assert missing.exit_code != 0

@@ -10,7 +10,8 @@ import lanebound.envs  # noqa: F401
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation import entries
 
-NAMES = ["model_curved", "nis_position", "nis_wheels", "trust"]
+VECTORS = ["nis_position", "nis_wheels", "nis_gyro", "nis_steering", "nis_slip", "nis_compass"]
+NAMES = ["model_curved", *VECTORS, "trust"]
 BASE = {"base": "LaneKeepingWorld"}
 
 
@@ -45,6 +46,22 @@ def test_a_single_environment_and_the_engine_show_the_same() -> None:
     assert 0.0 < shown["model_curved"] < 1.0
     assert 0.0 < shown["nis_position"] < 20.0
     assert 0.0 < shown["nis_wheels"] < 20.0
+    assert 0.0 < shown["nis_gyro"] < 20.0
+    assert 0.0 <= shown["nis_slip"] < 20.0
+    assert shown["nis_steering"] == shown["nis_compass"] == 0.0  # neither is fitted
     assert 0.1 < shown["trust"] < 10.0
     env.close()
     engine.close()
+
+
+def test_all_six_vectors_of_s4s_sensors_are_observed() -> None:
+    settings = {"navigator": "imm_s4", "duration_s": 3.0, "sky": "open", "observation": {"form": "flat"}}
+    env = gymnasium.make("lanebound/LaneKeeping-v0", config=settings)
+    seen = env.reset(seed=1)[0]
+    for _ in range(8):
+        seen = env.step(np.zeros(2, np.float32))[0]
+    index = entries(env.unwrapped.config.observation)
+    shown = {e.name: float(v) for e, v in zip(index, seen, strict=True) if e.name in VECTORS}
+    assert len(shown) == 6
+    assert all(0.0 < value < 1.0 for value in shown.values()), shown
+    env.close()

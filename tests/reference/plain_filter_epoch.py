@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from plain_filter_belief import BIASES, FilterBelief
+from plain_filter_figures import threshold
 from plain_kalman import correct, innovate
 from plain_multiple_models import (
     interact,
@@ -22,7 +23,6 @@ from plain_vehicle_filters import (
 from plain_vehicle_models import MotionInput
 
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
-from lanebound.integrity.navigators.vehicle_filter.parameters import gate_threshold
 from lanebound.integrity.positioning.filters.vehicle_models import Predictor, S
 from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
 
@@ -155,4 +155,4 @@ def conclude(b: FilterBelief, predicted: Array, likelihood: Array) -> None:
 
 def gates(config: FilterConfig, dimension: int, gnss: bool) -> float:
     """The threshold of a sensor vector."""
-    return float(gate_threshold(config.gate.gnss if gnss else config.gate.motion, dimension))
+    return threshold(config.gate.gnss if gnss else config.gate.motion, dimension)

@@ -9,6 +9,7 @@ import plain_filter_epoch as steps
 import plain_filter_observations as seen
 from numpy.typing import NDArray
 from plain_filter_belief import FilterBelief, take_slow_error
+from plain_filter_figures import bounds_of, position_factors
 from plain_filter_levels import ModelPositions, covariance_levels, horizontal_trust_level, with_slow_errors
 from plain_kalman import innovate
 from plain_multiple_models import combine
@@ -18,7 +19,6 @@ from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
-from lanebound.integrity.navigators.vehicle_filter.parameters import filter_parameters
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import BIASES, FilterState
 from lanebound.integrity.positioning.filters.code_position import locate_by_codes
 from lanebound.integrity.positioning.filters.vehicle_models import S
@@ -26,12 +26,12 @@ from lanebound.integrity.positioning.filters.vehicle_models import S
 __all__ = ["PlainSolution", "belief_of", "locate"]
 
 Array = NDArray[np.float64]
-GNSS, MOTION = 0, 1
+VECTORS = ("gnss", "wheels", "gyro", "steering", "slip", "compass")
 
 
 @dataclass(frozen=True)
 class PlainSolution:
-    """Position E, N (B, 2), levels (B, R, 2), trust level (B,), NIS (B, 2) of position and wheels."""
+    """Position E, N (B, 2), levels (B, R, 2), trust level (B,), NIS (B, 6) of VECTORS."""
 
     position_m: Array
     levels_m: Array
@@ -50,10 +50,10 @@ def belief_of(state: FilterState) -> FilterBelief:
     )  # fmt: skip
 
 
-def locate(c: FilterConfig, b: FilterBelief, m: Measurements, bounds: Array) -> PlainSolution:
+def locate(c: FilterConfig, b: FilterBelief, m: Measurements) -> PlainSolution:
     """Advance the belief by the measurements of an epoch."""
     batch, turn = b.known.size, m.imu.delta_theta_rad[:, 2]
-    fix, likelihood, nis = locate_by_codes(c.position.codes, m), np.zeros_like(b.probability), np.zeros((batch, 2))
+    fix, likelihood, nis = locate_by_codes(c.position.codes, m), np.zeros_like(b.probability), np.zeros((batch, 6))
     b.turned_rad = b.turned_rad + turn
     a = seen.acceleration_along(m, b, c.dt_s)
     printed = None
@@ -66,8 +66,8 @@ def locate(c: FilterConfig, b: FilterBelief, m: Measurements, bounds: Array) -> 
         steps.observe(b, printed, likelihood, c.gate.enabled)
     for observation in seen.motion_observations(c, m, b):
         outcome = steps.observe(b, observation, likelihood, c.gate.enabled)
-        if observation.name == "wheels":
-            nis[:, MOTION] = outcome.nis
+        if observation.name in VECTORS:
+            nis[:, VECTORS.index(observation.name)] = outcome.nis
     b.fix_age_s, b.moved_m = b.fix_age_s + c.dt_s, b.moved_m + np.abs(m.odometer.distance_m)
     p = c.position
     resting = b.moved_m < p.least_move_m
@@ -76,14 +76,14 @@ def locate(c: FilterConfig, b: FilterBelief, m: Measurements, bounds: Array) -> 
     if due.any():
         if c.sensor_errors:
             take_slow_error(b, fix, due, p.slow_tau_s)
-        par = filter_parameters(c)[0]
-        lasting = np.where(resting, par["rest_factor"], par["fast_factor"])
+        moving, still = position_factors(c)
+        lasting = np.where(resting, still, moving)
         heading = (b.probability * b.x[..., S.HEADING]).sum(-1)
         observation = _grown(c, b, seen.gnss_position(c, fix, heading, due, lasting))
-        nis[:, GNSS] = steps.observe(b, observation, likelihood, c.gate.enabled).nis
+        nis[:, 0] = steps.observe(b, observation, likelihood, c.gate.enabled).nis
         b.fix_age_s, b.moved_m = np.where(due, 0.0, b.fix_age_s), np.where(due, 0.0, b.moved_m)
     steps.conclude(b, predicted, likelihood)
-    return _levels(c, b, bounds, nis)
+    return _levels(c, b, nis)
 
 
 def _grown(c: FilterConfig, b: FilterBelief, seen: steps.Observation) -> steps.Observation:
@@ -95,7 +95,7 @@ def _grown(c: FilterConfig, b: FilterBelief, seen: steps.Observation) -> steps.O
     return replace(seen, covariance=seen.covariance * np.maximum(b.excess, 1.0)[:, None, None])
 
 
-def _levels(c: FilterConfig, b: FilterBelief, bounds: Array, nis: Array) -> PlainSolution:
+def _levels(c: FilterConfig, b: FilterBelief, nis: Array) -> PlainSolution:
     x, p = combine(b.x, b.p, b.probability)
     trust = horizontal_trust_level(p[:, :2, :2])
     models = ModelPositions(
@@ -103,8 +103,8 @@ def _levels(c: FilterConfig, b: FilterBelief, bounds: Array, nis: Array) -> Plai
         with_slow_errors(b.p[..., :2, :2], b.influence[:, :, :2, BIASES:]), b.influence[:, :, :2, :BIASES],
     )  # fmt: skip
     heading = np.asarray(wrap_angle(x[:, S.HEADING]))
-    levels = covariance_levels(c.cases, c.risk, models, bounds, heading, trust)
-    if c.position.excess_tau_s > 0.0:
+    levels = covariance_levels(c.cases, c.risk, models, bounds_of(c), heading, trust)
+    if c.position.excess_tau_s > 0.0 and c.position.level_misfit:
         exact = np.array([case.variant is not Variant.PUBLISHED for case in c.cases])[None, :, None]
         levels = levels * np.where(exact, np.sqrt(np.maximum(b.excess, 1.0))[:, None, None], 1.0)
     return PlainSolution(x[:, :2], levels, trust, nis)

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from plain_filter_belief import BIASES, FilterBelief, slow_columns
 from plain_filter_epoch import Observation, gates
+from plain_filter_figures import lasting as lasts
 from plain_odometry import from_front_wheel, rolling_slip
 
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
-from lanebound.integrity.navigators.vehicle_filter.parameters import correlation_factor
 from lanebound.integrity.positioning.filters.code_position import CodePosition
 from lanebound.integrity.positioning.filters.vehicle_models import S
 from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
@@ -92,7 +92,7 @@ def speed_by_wheels(config: FilterConfig, m: Measurements, rest: Bools) -> Obser
     still = config.positioning.dead_reckoning.standstill_speed_mps
     z, sigma = np.where(rest, 0.0, speed), np.where(rest, max(REST_SIGMA_MPS, still), sigma)
     r = diagonal(np.square(sigma), batch=batch)
-    factors = correlation_factor(motion.creep_tau_s, dt), correlation_factor(motion.speed_tau_s, dt)
+    factors = lasts(motion.creep_tau_s, dt), lasts(motion.speed_tau_s, dt)
     lasting = np.where(rest, *factors)[:, None, None]
     crawling = (np.abs(speed) < still) & ~rest
     # the scale acts in proportion to the speed: linear in the product, with the speed as measured
@@ -119,7 +119,7 @@ def slip_and_rate(config: FilterConfig, m: Measurements, rest: Bools) -> list[Ob
         )  # fmt: skip
         slip, sigma = wheel.slip_rad, np.hypot(sigma, wheel.sigma_slip)
         r = diagonal(np.square(wheel.sigma_rate), batch=batch)
-        lasting = correlation_factor(motion.steering_tau_s, dt)
+        lasting = lasts(motion.steering_tau_s, dt)
         h_rate = design({S.YAW_RATE: 1.0})
         found.append(
             Observation("steering", wheel.rate_radps[:, None], h_rate, r * lasting, r + 1e-4, ~rest,
@@ -138,7 +138,7 @@ def magnetic_heading(config: FilterConfig, m: Measurements) -> Observation:
     h = design({S.HEADING: 1.0, S.COMPASS: 1.0})
     z = m.compass.heading_rad[:, None]
     return Observation(
-        "compass", z, h, r * correlation_factor(motion.compass_tau_s, config.dt_s), r, np.ones(batch, np.bool_),
+        "compass", z, h, r * lasts(motion.compass_tau_s, config.dt_s), r, np.ones(batch, np.bool_),
         gates(config, 1, gnss=True), angular=True,
     )  # fmt: skip
 
@@ -149,7 +149,7 @@ def gyro_at_rest(config: FilterConfig, m: Measurements, rest: Bools) -> Observat
     white = config.positioning.heading.angle_random_walk_rad**2 / dt
     turning = (config.positioning.dead_reckoning.standstill_speed_mps / CREEP_RADIUS_M) ** 2
     single = diagonal(white + turning, batch=batch)
-    r = diagonal(white + turning * correlation_factor(config.motion.creep_tau_s, dt), batch=batch)
+    r = diagonal(white + turning * lasts(config.motion.creep_tau_s, dt), batch=batch)
     z = m.imu.delta_theta_rad[:, 2:] / dt
     there = rest if config.sensor_errors else np.zeros_like(rest)
     return Observation("rest", z, design({S.GYRO_BIAS: 1.0}), r, single, there, gates(config, 1, gnss=False))

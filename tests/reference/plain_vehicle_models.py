@@ -86,7 +86,7 @@ def noise_gain(x: Array, dt_s: float, curved: NDArray[np.bool_]) -> Array:
     with one noise for two states: a filter that measures the heading precisely would find each acceleration exactly,
     and would swing about a yaw rate that has stepped (the zero of the sampled model lies at -1). White accelerations
     move the angle, the position and the slip by an independent part of ``T^2 / sqrt(12)`` beside: the last columns, for
-    yaw acceleration, acceleration and slip acceleration.
+    yaw acceleration, acceleration and slip: acceleration (curved), or rate (straight), which moves the position.
     """
     t, half = dt_s, 0.5 * dt_s * dt_s
     course = x[..., S.HEADING] + x[..., S.SLIP] + x[..., S.SLIDE]
@@ -104,6 +104,8 @@ def noise_gain(x: Array, dt_s: float, curved: NDArray[np.bool_]) -> Array:
     g[..., S.HEADING, NOISES] = rest
     g[..., S.EAST, NOISES + 1], g[..., S.NORTH, NOISES + 1] = rest * s, rest * c
     g[..., S.SLIP, NOISES + 2] = np.where(bend, rest, 0.0)
+    g[..., S.EAST, NOISES + 2] = np.where(bend, 0.0, rest * speed * c)
+    g[..., S.NORTH, NOISES + 2] = np.where(bend, 0.0, -rest * speed * s)
     return g
 
 

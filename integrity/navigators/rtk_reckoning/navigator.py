@@ -295,10 +295,10 @@ def solution_of(m: Measurements, out: Outputs) -> Solution:
 
 
 @lru_cache(maxsize=64)
-def _no_filter(batch: int) -> tuple[Array, Array, Array, Array]:
-    """Probability of a model, NIS twice and trust level of vehicles that have no filter, (B,); never written."""
-    zero = np.zeros(batch)
-    return zero, zero, zero, np.full(batch, np.inf)
+def _no_filter(batch: int) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array]:
+    """Probability of a model, NIS of six vectors, trust level and SBAS level of vehicles without a filter, (B,)."""
+    zero, none = np.zeros(batch), np.full(batch, np.inf)
+    return zero, zero, zero, zero, zero, zero, zero, none, none
 
 
 register_navigator(RtkReckoningConfig, RtkReckoningNavigator)

@@ -78,6 +78,12 @@ class GateConfig(Config):
     doubt_s: float = Field(
         60.0, ge=0, description="and its levels hold the distance this long [s]; either side may be wrong; chosen"
     )
+    misfit_alert: float | None = Field(
+        9.0,
+        gt=1,
+        description="mean NIS / 2 of positions (position.excess_tau_s) above which there is an alert, because errors "
+        "are three times those declared; none: no such alert [-]; chosen",
+    )
 
 
 class GnssUpdateConfig(Config):
@@ -105,6 +111,7 @@ class GnssUpdateConfig(Config):
         "the root of it; 0: they do not [s]; chosen on dense streets of seed 101: reflections of a canyon last for "
         "some 100 m",
     )
+    level_misfit: bool = Field(True, description="exact levels grow by that root; false: the noise alone grows")
     bias_m: float = Field(
         0.1, ge=0, description="bound of a constant error of positions, on each axis [m]; datum and antenna, chosen"
     )

@@ -27,6 +27,7 @@ from lanebound.integrity.navigators.vehicle_filter.observations_kernel import (
 from lanebound.integrity.navigators.vehicle_filter.position_kernel import LOST, REJECTED, USED, correct_by_position
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     BIASES,
+    VECTORS,
     FilterOutputs,
     FilterState,
     MeasuredMotion,
@@ -193,7 +194,8 @@ def _report(par: Any, filters: Filters, v: int, outcome: int, s: Scratch) -> Non
     at = math.sqrt(track_variance(out.covariance[v], sin, cos))
     ct = math.sqrt(track_variance(out.covariance[v], cos, -sin))
     out.sigma[v, 0], out.sigma[v, 1] = at, ct
-    cause = TEST_FAILED if outcome == LOST else NONE if ready else INITIALISING
+    unbelieved = outcome == LOST or vehicle.excess > par.misfit_alert
+    cause = INITIALISING if not ready and outcome != LOST else TEST_FAILED if unbelieved else NONE
     out.available[v] = alert_step(
         cause, out.levels[v, 0, 0], out.levels[v, 0, 1], at, ct, par.dt, par.alert, vehicle.alert
     )
@@ -203,11 +205,11 @@ def _report(par: Any, filters: Filters, v: int, outcome: int, s: Scratch) -> Non
     out.heading[v], course = heading, mean[HEADING] + mean[SLIP] + mean[SLIDE]
     out.velocity[v, 0], out.velocity[v, 1] = mean[SPEED] * math.sin(course), mean[SPEED] * math.cos(course)
     if posed:
-        out.mode[v] = CODE if vehicle.fix_age < par.interval else IMU_ODOMETER
+        out.mode[v] = CODE if vehicle.used_age < par.interval else IMU_ODOMETER
     else:
         out.mode[v] = CODE if fix.valid[v] else NO_MODE
     out.trust[v], out.level_sbas[v] = trust if posed else math.inf, math.inf
-    if fix.valid[v]:
+    if par.sbas and fix.valid[v]:
         q = fix.fast[v] + fix.slow[v]
         out.level_sbas[v] = par.sbas_sigmas * major_axis(q[0, 0], q[1, 1], q[0, 1])
     out.used[v], out.rejected[v] = outcome == USED, outcome == REJECTED
@@ -216,7 +218,7 @@ def _report(par: Any, filters: Filters, v: int, outcome: int, s: Scratch) -> Non
     for j in range(state.x.shape[1]):
         if par.curved[j] == 1:
             out.curved[v] += state.probability[v, j]
-    for k in range(2):
+    for k in range(VECTORS):
         if out.nis[v, k] > 0.0:
             vehicle.nis[k] = out.nis[v, k]
         out.last_nis[v, k] = vehicle.nis[k]
@@ -227,14 +229,13 @@ def _widen(par: Any, cases: Any, vehicle: Any, levels: Array) -> None:
     """The levels hold the distance that the filter has doubted, for its time, and what its innovations show.
 
     Positions whose mean NIS / 2 is m > 1 show that the filter, its positions, or both are off by more than declared:
-    exact levels are ``sqrt(m)`` times as large. Published ones stay.
+    exact levels are ``sqrt(m)`` times as large. Published ones stay, the trust level and no more.
     """
-    misfit = math.sqrt(max(vehicle.excess, 1.0)) if par.excess_tau > 0.0 else 1.0
+    misfit = math.sqrt(max(vehicle.excess, 1.0)) if par.excess_tau > 0.0 and par.level_misfit else 1.0
     for k in range(levels.shape[0]):
-        for q in range(2):
-            if not cases[k].published:
-                levels[k, q] *= misfit
-            levels[k, q] += vehicle.doubt
+        if not cases[k].published:
+            for q in range(2):
+                levels[k, q] = misfit * levels[k, q] + vehicle.doubt
     vehicle.doubt_left = max(vehicle.doubt_left - par.dt, 0.0)
     if vehicle.doubt_left == 0.0:
         vehicle.doubt = 0.0

@@ -19,6 +19,13 @@ from lanebound.integrity.navigators.vehicle_filter.parameters import filter_para
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     BIASES,
     COMMON,
+    COMPASS,
+    GNSS,
+    GYRO,
+    MOTION,
+    SLIPPING,
+    STEERING,
+    VECTORS,
     VEHICLE,
     FilterOutputs,
     FilterState,
@@ -41,8 +48,8 @@ EPOCH_US = 60.0  # of one thread for a vehicle and epoch, measured
 class FilterReport:
     """Beside the solution of an epoch, of B vehicles.
 
-    htl_m (B,) horizontal trust level; hpl_sbas_m (B,) of the GNSS position alone, inf without one; probability (B, r)
-    of the models; nis (B, 2) of GNSS position and wheels, 0 without; gnss_used, gnss_rejected (B,).
+    htl_m (B,) horizontal trust level; hpl_sbas_m (B,) of the GNSS position alone where SBAS corrects it, else inf;
+    probability (B, r) of the models; nis (B, VECTORS) of sensor vectors, 0 without; gnss_used, gnss_rejected (B,).
     """
 
     htl_m: Array
@@ -92,6 +99,7 @@ class FilterNavigator(Navigator):
         m = with_finite(m)
         fix = locate_by_codes(self.config.position.codes, m)
         out = run_filters(self._parameters, self._cases, self.state.belief, _measured_of(m), fix_of(fix))
+        nis = np.ascontiguousarray(out.last_nis.T)
         self.report = FilterReport(out.trust, out.level_sbas, out.probability, out.nis, out.used, out.rejected)
         return replace(
             Solution.blank(m, self._cases.size), position_en_m=out.position, heading_rad=out.heading,
@@ -99,7 +107,8 @@ class FilterNavigator(Navigator):
             sigma_ct_m=out.sigma[:, 1].copy(), pl_at_m=out.levels[:, 0, 0].copy(), pl_ct_m=out.levels[:, 0, 1].copy(),
             pl_cases_m=out.levels, mode=out.mode, alert=out.alert, available=out.available, reason=out.reason,
             hdop=fix.hdop, satellites=fix.satellites, excluded=fix.excluded + out.rejected, model_curved=out.curved,
-            nis_position=out.last_nis[:, 0].copy(), nis_wheels=out.last_nis[:, 1].copy(), trust_m=out.trust,
+            nis_position=nis[GNSS], nis_wheels=nis[MOTION], nis_gyro=nis[GYRO], nis_steering=nis[STEERING],
+            nis_slip=nis[SLIPPING], nis_compass=nis[COMPASS], trust_m=out.trust, hpl_sbas_m=out.level_sbas,
         )  # fmt: skip
 
 
@@ -110,7 +119,7 @@ def blank_state(config: FilterConfig, batch: int, satellites: int) -> FilterStat
     for place, sigma in initial_sigmas(config).items():
         p[..., place, place] = sigma**2
     vehicles = np.zeros(batch, VEHICLE)
-    vehicles["fix_age"] = vehicles["moved"] = np.inf
+    vehicles["fix_age"] = vehicles["used_age"] = vehicles["moved"] = np.inf
     vehicles["excess"] = 1.0
     vehicles["alert"]["alert"], vehicles["alert"]["reason"] = True, AlertReason.INITIALISING.code
     vehicles["alert"]["onset_s"] = -1.0
@@ -159,8 +168,8 @@ def _blank_outputs(batch: int, cases: int, models: int) -> FilterOutputs:
         position=np.zeros((batch, 2)), heading=np.zeros(batch), velocity=np.zeros((batch, 2)),
         covariance=np.zeros((batch, 2, 2)), sigma=np.zeros((batch, 2)), levels=np.zeros((batch, cases, 2)),
         mode=codes[0], alert=flags[0], available=flags[1], reason=codes[1], trust=np.zeros(batch),
-        level_sbas=np.zeros(batch), nis=np.zeros((batch, 2)),
-        last_nis=np.zeros((batch, 2)), curved=np.zeros(batch), used=flags[2], rejected=flags[3],
+        level_sbas=np.zeros(batch), nis=np.zeros((batch, VECTORS)),
+        last_nis=np.zeros((batch, VECTORS)), curved=np.zeros(batch), used=flags[2], rejected=flags[3],
         probability=np.zeros((batch, models)),
     )  # fmt: skip
 

@@ -9,11 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import COMPASS as MAGNETIC
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     COURSE_BIAS,
+    GYRO,
     MOTION,
     REST_BIAS,
+    SLIPPING,
     SPEED_BIAS,
+    STEERING,
     MeasuredMotion,
 )
 from lanebound.integrity.positioning.filters.correction_kernel import UNTESTED, Models, Vector, clear, observe
@@ -54,17 +58,18 @@ def acceleration_along(x: Array, delta_v: Array, dt: float) -> float:
 def correct_by_motion(
     par: Any, vehicle: Any, measured: MeasuredMotion, v: int, models: Models, w: Vector, nis: Array
 ) -> None:
-    """Gyro, wheels, steering, slip, compass and rest, in this order."""
+    """Gyro, wheels, steering, slip, compass and rest, in this order; the NIS of each but the last into ``nis``."""
     push = math.hypot(measured.delta_v[v, 0], measured.delta_v[v, 1]) / par.dt
     rest = measured.distance[v] == 0.0 and push < par.rest_mps2
     wheel = _wheel_odometry(par, measured, v)
-    _inertial_heading(vehicle.turned, models, w)
+    nis[GYRO] = _inertial_heading(vehicle.turned, models, w)
     nis[MOTION], rejected = _speed(par, wheel, rest, models, w)
     if par.chassis and not rest:
-        rejected = _steering(par, wheel, models, w) or rejected
-    _slip(par, wheel, models, w)
+        nis[STEERING], used = _steering(par, wheel, models, w)
+        rejected = rejected or not used
+    nis[SLIPPING] = _slip(par, wheel, models, w)
     if par.compass:
-        _magnetic_heading(par, measured.compass[v], models, w)
+        nis[MAGNETIC] = _magnetic_heading(par, measured.compass[v], models, w)
     if rest and par.sensor_errors:
         _gyro_at_rest(par, measured.turn[v, 2] / par.dt, models, w)
     vehicle.rejected[MOTION] = vehicle.rejected[MOTION] + par.dt if rejected else 0.0
@@ -88,15 +93,15 @@ def _wheel_odometry(par: Any, measured: MeasuredMotion, v: int) -> WheelOdometry
 
 
 @jit
-def _inertial_heading(turned: float, models: Models, w: Vector) -> None:
-    """The integrated gyro observes the heading and the error that has been integrated with it: theta^I of S4.
+def _inertial_heading(turned: float, models: Models, w: Vector) -> float:
+    """The integrated gyro observes the heading and the error that has been integrated with it: theta^I of S4; NIS.
 
     An increment over an epoch is a difference of two headings; as a rate at its end it would be half an epoch late.
     """
     clear(w)
     w.z[0], w.h[0, HEADING], w.h[0, GYRO_ANGLE] = turned, 1.0, 1.0
     w.r[0, 0] = w.single[0, 0] = HEADING_NOISE_RAD**2
-    observe(models, w, 1, UNTESTED, False)
+    return float(observe(models, w, 1, UNTESTED, False)[0])
 
 
 @jit
@@ -119,32 +124,36 @@ def _speed(par: Any, wheel: WheelOdometry, rest: bool, models: Models, w: Vector
 
 
 @jit
-def _steering(par: Any, wheel: WheelOdometry, models: Models, w: Vector) -> bool:
-    """Yaw rate by the steering sensor (S4 eq 3); returns whether it was rejected."""
+def _steering(par: Any, wheel: WheelOdometry, models: Models, w: Vector) -> tuple[float, bool]:
+    """Yaw rate by the steering sensor (S4 eq 3); NIS, and whether it was used."""
     clear(w)
     variance = wheel.sigma_rate * wheel.sigma_rate
     w.z[0], w.h[0, YAW_RATE], w.r[0, 0] = wheel.rate, 1.0, variance * par.steering_factor
     w.single[0, 0] = variance + STEERING_MODEL_RADPS**2
-    return not observe(models, w, 1, par.gate_motion, False)[1]
+    nis, used = observe(models, w, 1, par.gate_motion, False)
+    return nis, used
 
 
 @jit
-def _slip(par: Any, wheel: WheelOdometry, models: Models, w: Vector) -> None:
-    """Slip by the geometry of the car."""
+def _slip(par: Any, wheel: WheelOdometry, models: Models, w: Vector) -> float:
+    """Slip by the geometry of the car; NIS.
+
+    S4 prints ``phi = arctan(...) - s``: the geometry observes the sum of slip and slide.
+    """
     clear(w)
     w.z[0], w.h[0, SLIP], w.h[0, SLIDE], w.errors[0, COURSE_BIAS] = wheel.slip, 1.0, 1.0, 1.0
     w.r[0, 0] = w.single[0, 0] = wheel.sigma_slip * wheel.sigma_slip
-    observe(models, w, 1, UNTESTED, False)
+    return float(observe(models, w, 1, UNTESTED, False)[0])
 
 
 @jit
-def _magnetic_heading(par: Any, heading: float, models: Models, w: Vector) -> None:
-    """The compass observes the heading with a deviation; its disturbances last."""
+def _magnetic_heading(par: Any, heading: float, models: Models, w: Vector) -> float:
+    """The compass observes the heading with a deviation; its disturbances last; NIS."""
     clear(w)
     w.z[0], w.h[0, HEADING], w.h[0, COMPASS] = heading, 1.0, 1.0
     w.single[0, 0] = par.compass_sigma * par.compass_sigma
     w.r[0, 0] = w.single[0, 0] * par.compass_factor
-    observe(models, w, 1, par.gate_compass, True)
+    return float(observe(models, w, 1, par.gate_compass, True)[0])
 
 
 @jit

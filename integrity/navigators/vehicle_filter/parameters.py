@@ -70,6 +70,8 @@ def filter_parameters(c: FilterConfig) -> Records:
         slow_tau=position.slow_tau_s,
         fast_factor=correlation_factor(position.fast_tau_s, position.interval_s),
         excess_tau=position.excess_tau_s,
+        level_misfit=position.level_misfit,
+        misfit_alert=math.inf if c.gate.misfit_alert is None else c.gate.misfit_alert,
         forward=forward,
         right=right,
         accelerometer_density=motion.accelerometer_density,
@@ -97,6 +99,7 @@ def filter_parameters(c: FilterConfig) -> Records:
             dead.odometer_bias_mps,
             dead.standstill_speed_mps,
         ],
+        sbas=position.codes.source is CodeSource.SBAS,
         sbas_sigmas=Operation.EN_ROUTE.value[0],
         alert=alert_parameters(c.alert),
     )

@@ -52,6 +52,7 @@ def correct_by_position(
     """The GNSS position, when it is due; returns the outcome."""
     vehicle = state.vehicles[v]
     vehicle.fix_age += par.dt
+    vehicle.used_age += par.dt
     vehicle.moved += abs(measured.distance[v])
     if not (fix.valid[v] and vehicle.known):
         return NONE
@@ -75,6 +76,8 @@ def correct_by_position(
     else:
         vehicle.rejected[GNSS] = 0.0
     vehicle.fix_age = vehicle.moved = 0.0
+    if outcome == USED:
+        vehicle.used_age = 0.0
     return outcome
 
 
@@ -129,7 +132,10 @@ def _grow_noise(par: Any, vehicle: Any, models: Models, w: Vector) -> None:
         return
     since = vehicle.fix_age if vehicle.fix_age < math.inf else par.interval
     kept = math.exp(-since / par.excess_tau)
-    vehicle.excess = kept * vehicle.excess + (1.0 - kept) * 0.5 * best_nis(models, w, 2, False)
+    nis = best_nis(models, w, 2, False)
+    if not math.isfinite(nis):
+        return
+    vehicle.excess = kept * vehicle.excess + (1.0 - kept) * 0.5 * nis
     if vehicle.excess > 1.0:
         w.r[:] *= vehicle.excess
 

@@ -15,14 +15,19 @@ from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
 __all__ = [
     "BIASES",
     "COMMON",
+    "COMPASS",
     "COURSE_BIAS",
     "GNSS",
     "GNSS_EAST_BIAS",
     "GNSS_NORTH_BIAS",
+    "GYRO",
     "MOTION",
     "PARAMETERS",
     "REST_BIAS",
+    "SLIPPING",
     "SPEED_BIAS",
+    "STEERING",
+    "VECTORS",
     "VEHICLE",
     "FilterOutputs",
     "FilterState",
@@ -37,7 +42,8 @@ Bools = NDArray[np.bool_]
 BIASES = 5  # bounded constant errors
 GNSS_EAST_BIAS, GNSS_NORTH_BIAS, COURSE_BIAS, SPEED_BIAS, REST_BIAS = range(BIASES)
 COMMON = 2  # slow errors common to all satellites: ionosphere, troposphere
-GNSS, MOTION = 0, 1  # sensor vectors whose NIS is reported
+VECTORS = 6  # sensor vectors whose NIS is reported: position, wheels, gyro, steering, slip, compass
+GNSS, MOTION, GYRO, STEERING, SLIPPING, COMPASS = range(VECTORS)
 MODELS = 2  # at most
 
 PARAMETERS = record(
@@ -66,6 +72,8 @@ PARAMETERS = record(
     slow_tau="correlation time of slow errors of positions [s]",
     fast_factor="variance factor of the lasting errors of positions [-]",
     excess_tau="memory of the innovations of positions, 0: none [s]",
+    level_misfit=("?", "exact levels grow by the misfit of innovations"),
+    misfit_alert="mean NIS / 2 of positions above which the filter is not believed, inf: none [-]",
     forward="antenna ahead of the reference point [m]",
     right="antenna to the right of it [m]",
     accelerometer_density="[m/s^2/sqrt(Hz)]",
@@ -87,6 +95,7 @@ PARAMETERS = record(
     doppler_sigma="range rate, 1 sigma [m/s]",
     wheel_bound="bound of the odometer's scale error [-]",
     bounds=("f8", (BIASES,), "of constant errors: position East, North [m], course [rad], speed, and at rest [m/s]"),
+    sbas=("?", "positions are corrected by SBAS"),
     sbas_sigmas="K_H of the SBAS level of a position [-]",
     alert=(ALERT_RULES, "alert limits and times"),
 )
@@ -104,10 +113,11 @@ VEHICLE = record(
     unconfirmed=("i8", "positions that must agree before there is a level"),
     biased=("?", "the slow error of positions has its prior"),
     excess="mean of NIS / 2 of positions over the memory, rejected ones too; 1 when they are as declared [-]",
-    fix_age="of the last position used, inf before [s]",
-    moved="distance driven since then [m]",
+    fix_age="of the last position that was due, used or rejected, inf before [s]",
+    used_age="of the last position used, inf before [s]",
+    moved="distance driven since the last one that was due [m]",
     rejected=("f8", (2,), "how long positions and motion have been rejected throughout [s]"),
-    nis=("f8", (2,), "of the last position and of the last wheel speed [-]"),
+    nis=("f8", (VECTORS,), "the last of each sensor vector, 0 before [-]"),
     doubt="distance to the positions that the filter has begun anew with, which the levels hold [m]",
     doubt_left="and how much longer [s]",
     trial=(TRIAL, "of the first heading by Doppler"),

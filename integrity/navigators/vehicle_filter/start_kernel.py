@@ -53,6 +53,10 @@ WIDEST_RAD = math.radians(15.0)  # bound of a course that counts
 COURSE_RAD = math.radians(0.5)  # beside: slip, and noise of the gyro during the trial
 TRIAL, TRIAL_M = 10, 10.0  # velocities that must agree, and distance: reflections change over metres; chosen
 CONFIRMATIONS = 3  # positions that must fit; chosen
+LASTING_START = math.sqrt(2.0)
+"""Variance factor of the first position. Its fast error e lasts, and the next positions count with ``f = (1 + phi) / (1
+- phi)`` times the variance of e. The weighted mean of a first position of variance factor g and of n more then has no
+more variance than it states for all n if ``g >= sqrt(2)`` (the limit of many positions within the correlation time)."""
 HEADING_RAD2 = 1e-10  # keeps the covariance of heading and integrated gyro regular
 
 
@@ -77,12 +81,13 @@ def begin(par: Any, state: FilterState, v: int, measured: MeasuredMotion, fix: P
         else:
             _try_course(par, state, v, measured, fix)
     if vehicle.aligned and not vehicle.known and fix.valid[v]:
-        begin_at(state, v, fix.position[v], max(vehicle.excess, 1.0) * fix.fast[v] + fix.slow[v])
+        fast = LASTING_START * max(vehicle.excess, 1.0) * fix.fast[v]
+        begin_at(state, v, fix.position[v], fast + fix.slow[v])
         _share_constant_error(state, v)
         vehicle.unconfirmed = CONFIRMATIONS
         if par.sensor_errors:
             _share_slow_error(par, state, v, fix, w)
-        vehicle.fix_age = vehicle.moved = 0.0
+        vehicle.fix_age = vehicle.used_age = vehicle.moved = 0.0
 
 
 @jit
@@ -140,7 +145,7 @@ def begin_at(state: FilterState, v: int, position: Array, covariance: Array) -> 
             for k in range(2):
                 p[i, k] = covariance[i, k]
     vehicle.known, vehicle.biased, vehicle.unconfirmed = True, False, 0
-    vehicle.fix_age = vehicle.moved = math.inf
+    vehicle.fix_age = vehicle.used_age = vehicle.moved = math.inf
     vehicle.rejected[:] = 0.0
 
 

@@ -80,10 +80,10 @@ def observe(models: Models, v: Vector, size: int, threshold: float, angular: boo
     """Correct all models by a vector of ``size`` components, and add its log likelihood; NIS and whether it was used.
 
     A vector is rejected when it fails the gate of every model, so that the likelihoods of the models are of the same
-    measurements; the NIS is that of the model that fits best.
+    measurements; the NIS is that of the model that fits best. What is not finite is rejected, tested or not.
     """
     best = best_nis(models, v, size, angular)
-    if not best <= threshold:
+    if not (math.isfinite(best) and best <= threshold):
         return best, False
     for j in range(models.x.shape[0]):
         log_det = _innovate(models, v, j, size, v.r, angular)
@@ -99,7 +99,10 @@ def best_nis(models: Models, v: Vector, size: int, angular: bool) -> float:
     best = math.inf
     for j in range(models.x.shape[0]):
         _innovate(models, v, j, size, v.single, angular)
-        best = min(best, _nis(v, size))
+        nis = _nis(v, size)
+        if not math.isfinite(nis):
+            return math.inf
+        best = min(best, nis)
     return best
 
 

@@ -122,7 +122,8 @@ def fill_noise(x: Array, dt: float, curved: bool, sigma: Array, g: Array) -> Non
     rate with one noise for two states: a filter that measures the heading precisely would find each acceleration
     exactly, and would swing about a yaw rate that has stepped (the zero of the sampled model lies at -1). White
     accelerations move the angle, the position and the slip by an independent part of ``T^2 / sqrt(12)`` beside: the
-    last columns, for yaw acceleration, acceleration and slip acceleration.
+    last columns, for yaw acceleration, acceleration and slip: acceleration (curved), or rate (straight), which moves
+    the position.
     """
     course = x[HEADING] + x[SLIP] + x[SLIDE]
     s, c, half, rest, speed = math.sin(course), math.cos(course), 0.5 * dt * dt, REST * dt * dt, x[SPEED]
@@ -134,6 +135,7 @@ def fill_noise(x: Array, dt: float, curved: bool, sigma: Array, g: Array) -> Non
     else:  # a change of the slip turns the velocity
         g[SLIP, 2] = dt * sigma[2]
         g[EAST, 2], g[NORTH, 2] = half * speed * c * sigma[2], -half * speed * s * sigma[2]
+        g[EAST, 6], g[NORTH, 6] = rest * speed * c * sigma[6], -rest * speed * s * sigma[6]
     g[SLIDE, 3] = dt * sigma[3]
     g[EAST, 3], g[NORTH, 3] = half * speed * c * sigma[3], -half * speed * s * sigma[3]
     g[HEADING, 4] = rest * sigma[4]

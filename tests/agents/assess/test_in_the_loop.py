@@ -71,7 +71,8 @@ def test_trust_levels_are_counted_where_there_are_any(result: tuple[dict[str, An
     config = loop.InTheLoopConfig.load({**SHORT, "risks": [1e-3]})
     moment = next(drive_street(config.with_levels(), "dense", 0))
     level = np.array([1.0, 1.0, np.inf])  # the last one has no level yet
-    solution = replace(moment.solution, trust_m=np.array([5.0, 8.0, 1.0]), pl_at_m=level)
+    solution = replace(moment.solution, trust_m=np.array([5.0, 8.0, 1.0]), pl_at_m=level,
+                       hpl_sbas_m=np.array([4.0, np.inf, 2.0]))  # fmt: skip
     tally = loop._Tally(config)
     tally.count(replace(moment, error_m=np.array([[3.0, -4.1], [5.0, 0.0], [9.0, 0.0]]), solution=solution))
     counts = tally.counts()
@@ -80,6 +81,8 @@ def test_trust_levels_are_counted_where_there_are_any(result: tuple[dict[str, An
     assert found["trust"]["rate"] == 0.5
     rows = loop.trust_rows({"skies": {"dense": found}})[1]
     assert rows == [("dense", "2", "1 (0.5)", "1", "50.0 %")]
+    assert counts["sbas"] == [1.0, 1.0, 4.0]  # the third has no level, the second no position by SBAS
+    assert loop.sbas_rows({"skies": {"dense": found}})[1] == [("dense", "1", "4.00 m", "1")]
 
 
 def test_a_second_run_reads_what_the_first_left(result: tuple[dict[str, Any], Path]) -> None:

@@ -211,3 +211,26 @@ def test_a_spread_off_the_road_is_refused(road: Road, spread_m: float) -> None:
 def test_an_epoch_given_as_text_is_refused() -> None:
     with pytest.raises(InputError, match="dt_s must be numeric, got str"):
         CityDrive(BLOCK, FREE, "0.1")  # type: ignore[arg-type]
+
+
+def test_a_body_whose_rear_axle_follows_slips_in_bends_as_a_bicycle() -> None:
+    """``sin(slip) = axle rate / speed`` throughout, that is no sideways motion of the rear axle; in a bend of 20 m the
+    slip comes to asin(axle / 20 m)."""
+    road = Road.through([(0.0, 0.0), (80.0, 0.0), (80.0, 80.0), (0.0, 80.0)], corner_radius_m=20.0)
+    config, dt, axle = DriveConfig(speed_limit_mps=5.0, red_share=0.0), 0.02, 1.35
+    car, streams = CityDrive(road, config, dt, axle), Streams(3, 2)
+    state, slips = car.start(streams), []
+    for _ in range(2000):
+        truth = car.step(state, streams)
+        velocity = truth.velocity_enu_mps
+        slip = np.arctan2(velocity[:, 0], velocity[:, 1]) - truth.heading_rad
+        slips.append((slip + np.pi) % (2.0 * np.pi) - np.pi)
+        speed, rate = np.hypot(velocity[:, 0], velocity[:, 1]), truth.delta_theta_rad[:, 2] / dt
+        middle = np.mean(slips[-2:], axis=0)  # the rate is that of the middle of the epoch
+        assert np.abs(np.sin(middle) * speed - axle * rate).max() < 0.02
+    assert np.abs(slips).max() == pytest.approx(np.arcsin(axle / 20.0), rel=0.01)
+    straight = CityDrive(road, config, dt)
+    state, plain = straight.start(streams), car.start(streams)
+    assert np.array_equal(straight.step(state, streams).position_enu_m, car.step(plain, streams).position_enu_m)
+    with pytest.raises(InputError, match="axle_m"):
+        CityDrive(road, config, dt, -1.0)

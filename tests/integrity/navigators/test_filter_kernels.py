@@ -40,12 +40,11 @@ def agree(kernel, reference, tolerance):
 def test_an_epoch_equals_the_reference(kind):
     """From the state of the kernels, to 1e-9: position, levels, trust level, NIS, probabilities, covariances."""
     navigator, truths = drive(KINDS[kind])
-    bounds = navigator._parameters["bounds"][0]
     used = 0
     for _ in range(45):
         m = navigator.measure(next(truths))
         b = plain.belief_of(navigator.state.belief)
-        found = plain.locate(navigator.config, b, m, bounds)
+        found = plain.locate(navigator.config, b, m)
         agree(navigator.locate(m), found, 1e-9)
         state, report = navigator.state.belief, navigator.report
         np.testing.assert_allclose(report.htl_m, found.trust_m, rtol=1e-9)
@@ -65,8 +64,8 @@ def test_an_epoch_equals_the_reference(kind):
 def test_a_drive_equals_the_reference():
     """Both go on from their own state for 8 s: rounding grows to no more than a micrometre."""
     navigator, truths = drive({"filter": "imm"})
-    b, bounds = plain.belief_of(navigator.state.belief), navigator._parameters["bounds"][0]
+    b = plain.belief_of(navigator.state.belief)
     for _ in range(80):
         m = navigator.measure(next(truths))
-        reference = plain.locate(navigator.config, b, m, bounds)
+        reference = plain.locate(navigator.config, b, m)
         agree(navigator.locate(m), reference, 1e-6)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
+from plain_filter_figures import bounds_of
 from scipy.optimize import brentq
 from scipy.stats import binom, norm
 
@@ -208,7 +209,7 @@ def test_levels_grow_by_the_misfit_of_positions():
     t = np.stack([np.sin(heading), np.cos(heading)], -1)[:, None]  # along
     far = np.abs((t * (b.x[..., :2] - solution.position_en_m[:, None])).sum(-1))
     moved = (t[..., None] * b.influence[:, :, :2]).sum(2)
-    far += np.abs(moved[..., :5]) @ navigator._parameters["bounds"][0]
+    far += np.abs(moved[..., :5]) @ bounds_of(navigator.config)
     sigma = np.sqrt(np.einsum("bri,brij,brj->br", t + 0 * far[..., None], b.p[..., :2, :2], t + 0 * far[..., None])
                     + np.square(moved[..., 5:]).sum(-1))  # fmt: skip
     least = np.min(far + norm.isf(0.5e-3) * sigma, -1)  # of one model, at no less than the budget of one side
@@ -216,12 +217,56 @@ def test_levels_grow_by_the_misfit_of_positions():
     np.testing.assert_allclose(solution.pl_cases_m[:, 2], np.repeat(navigator.report.htl_m[:, None], 2, 1))
 
 
+def test_the_levels_grow_by_the_misfit_only_where_configured():
+    """One drive with spurious positions, with and without level_misfit: the same states, levels larger by sqrt(m)."""
+    (with_it, truths), (plain, others) = drives([1, 2]), drives([1, 2], position={"level_misfit": False})
+    wide, small = errors(with_it, truths, 70, shifted)[1][-1], errors(plain, others, 70, shifted)[1][-1]
+    assert np.array_equal(wide.position_en_m, small.position_en_m)
+    m = with_it.state.belief.vehicles["excess"]
+    np.testing.assert_allclose(wide.pl_at_m, np.sqrt(m) * small.pl_at_m, rtol=1e-12)
+
+
+def test_a_misfit_beyond_its_limit_raises_an_alert():
+    """40 m off, rejected: the mean NIS shows it within some seconds; limits are wide, so that nothing else alerts."""
+    limits = {"limits": {"al_at_m": 1e4, "al_ct_m": 1e4, "accuracy_at_m": None, "accuracy_ct_m": None}}
+    (navigator, truths), (silent, others) = (
+        drives([1, 2], alert=limits),
+        drives([1, 2], alert=limits, gate={"misfit_alert": None}),
+    )
+    seen, quiet = errors(navigator, truths, 130, shifted)[1], errors(silent, others, 130, shifted)[1]
+    failed = AlertReason.INTEGRITY_TEST_FAILED.code
+    assert all((s.reason != failed).all() for s in seen[:60])
+    assert not any(s.alert.any() for s in seen[30:60])
+    assert (seen[-1].reason == failed).all()
+    assert seen[-1].alert.all()
+    assert not seen[-1].available.any()
+    assert all((s.reason != failed).all() for s in quiet)
+
+
 def test_a_filter_that_rejects_for_long_doubts_itself():
-    navigator, truths = drives([1, 2], gate={"lost_s": 3.0})
-    _, solutions = errors(navigator, truths, 130, shifted)
+    """After 3 s of rejections it begins anew, 40 m off; exact levels hold the distance, the published one does not."""
+    published = [{"integrity_risk": 1e-7, "variant": "published"}]
+    change = {"gate": {"lost_s": 3.0, "misfit_alert": None}, "compass": {"fitted": True}, "more_levels": published}
+    navigator, truths = drives([1, 2], **change)
+    _, solutions = errors(navigator, truths, 160, shifted)
     reasons = np.array([s.reason for s in solutions])
     assert (reasons == AlertReason.INTEGRITY_TEST_FAILED.code).any(0).all()
-    assert (solutions[-1].pl_at_m > 10.0).all()
+    doubt, last = navigator.state.belief.vehicles["doubt"], solutions[-1]
+    assert (doubt > 30.0).all()
+    assert np.isfinite(last.pl_at_m).all()
+    assert (np.minimum(last.pl_at_m, last.pl_ct_m) > doubt).all()
+    np.testing.assert_allclose(last.pl_cases_m[:, 1], np.repeat(last.trust_m[:, None], 2, 1))
+
+
+def test_the_mode_is_code_only_while_positions_are_used():
+    """Rejected positions are no positions: two seconds after the last used one the vehicle reckons."""
+    navigator, truths = drives([1, 2])
+    _, solutions = errors(navigator, truths, 110, shifted)
+    modes = np.array([s.mode for s in solutions])
+    assert (modes[40:60] == Mode.CODE).all()
+    assert (modes[-25:] == Mode.IMU_ODOMETER).all()
+    assert (navigator.state.belief.vehicles["fix_age"] < 1.05).all()  # positions were due each second
+    assert (navigator.state.belief.vehicles["used_age"] > 3.0).all()
 
 
 def test_the_trust_level_is_six_sigma_of_the_longer_axis():
@@ -342,13 +387,17 @@ def test_a_known_height_counts_beside_a_redundant_code_alone():
 def test_a_first_position_has_the_constant_error_of_positions():
     navigator, truths = drives([1, 2], start=False)
     for _ in range(100):
-        navigator.step(next(truths))
+        m = navigator.measure(next(truths))
+        navigator.locate(m)
         b = navigator.state.belief
         begun = b.vehicles["known"] & (b.vehicles["fix_age"] == 0.0) & (b.vehicles["unconfirmed"] == 3)
         if begun.any():
             break
     assert begun.any()
     np.testing.assert_allclose(b.influence[begun][:, :, [0, 1], [0, 1]], 1.0)
+    fix = locate_by_codes(navigator.config.position.codes, m)  # its fast error lasts: variance by root 2
+    began = np.sqrt(2.0) * fix.fast_m2[begun] + fix.slow_m2[begun]
+    np.testing.assert_allclose(b.p[begun][:, 0, :2, :2], began, rtol=1e-9)
     navigator.place(np.zeros((2, 2)), np.zeros(2), 0.1, 0.01)
     assert not navigator.state.belief.influence[:, :, :2].any()
 

@@ -84,6 +84,13 @@ def test_what_is_no_filter_or_has_no_positions_is_refused(tmp_path: Path) -> Non
     config = FilterReplayConfig(navigator=NavigatorConfig.load({"kind": "rtk_reckoning"}))
     with pytest.raises(ConfigError, match="of kind filter, got rtk_reckoning"):
         config.filter_of(0.1)
+    for preset, source in (("imm_sbas", "sbas"), ("imm_differential", "differential")):
+        config = FilterReplayConfig.build(None, {"navigator": NavigatorConfig.data_of(preset)})
+        message = rf"codes\.source must be undifferenced for a recording.*got {source}: give filter or imm_s4"
+        with pytest.raises(ConfigError, match=message):
+            comma_sensors(segment(), config)
+        with pytest.raises(ConfigError, match=message):
+            smartloc_sensors(simulated(5.0), config)
     blind, plain = Comma(**{**vars(segment()), "fixes": None}), FilterReplayConfig.build(None, {})
     with pytest.raises(InputError, match="live_gnss_ublox"):
         comma_sensors(blind, plain)
@@ -101,6 +108,8 @@ def test_the_command_replays_recordings_with_a_filter(name: str, tmp_path: Path)
     assert done.exit_code == 0, done.output
     found = json.loads((tmp_path / "replay.json").read_text())
     assert found["filter"] == "ekf"
+    assert "speed of the wheels" in found["sensors"]
+    assert "compass" not in found["sensors"]
     assert found["with_level"] > 200
     assert all(found["levels"][risk][axis]["exceeded"] == 0 for risk in ("0.001", "0.0001") for axis in ("at", "ct"))
     assert found["horizontal_m"]["rms"] < (3.0 if name.startswith("comma") else 16.0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.inertial_law import (
@@ -26,7 +27,7 @@ def test_the_published_figures_drift_by_less_than_the_paper_says():
 
 
 def test_the_fit_returns_the_law_that_made_the_data():
-    found = fit_inertial_law(TIME_S, PUBLISHED.error_mps2(TIME_S))
+    found = fit_inertial_law(TIME_S, PUBLISHED.error_mps2(TIME_S)).law
     np.testing.assert_allclose(found.c1_mps2, -0.0043, rtol=1e-4)
     np.testing.assert_allclose(found.c2_mps2, -0.007, rtol=1e-4)
     np.testing.assert_allclose(found.tau_s, 500.0, rtol=1e-4)
@@ -38,7 +39,7 @@ def test_the_fit_survives_the_noise_of_the_paper():
     sigma of the double integral of white noise at 1 Hz: 0.0033 sqrt(60^3 / 3) = 0.89 m; 4 sigma and the fit.
     """
     noise = 0.0033 * np.random.default_rng(5).standard_normal(TIME_S.size)
-    found = fit_inertial_law(TIME_S, PUBLISHED.error_mps2(TIME_S) + noise)
+    found = fit_inertial_law(TIME_S, PUBLISHED.error_mps2(TIME_S) + noise).law
     np.testing.assert_allclose(found.c2_mps2, -0.007, atol=1e-3)
     np.testing.assert_allclose(found.c1_mps2, -0.0043, atol=1e-3)
     left = PUBLISHED.error_mps2(TIME_S) + noise - found.error_mps2(TIME_S)
@@ -48,10 +49,54 @@ def test_the_fit_survives_the_noise_of_the_paper():
 
 def test_other_laws_are_found_too():
     for law in (InertialErrorLaw(0.02, -0.01, 100.0), InertialErrorLaw(-0.1, 0.3, 1500.0)):
-        found = fit_inertial_law(TIME_S, law.error_mps2(TIME_S))
+        found = fit_inertial_law(TIME_S, law.error_mps2(TIME_S)).law
         np.testing.assert_allclose(
             [found.c1_mps2, found.c2_mps2, found.tau_s], [law.c1_mps2, law.c2_mps2, law.tau_s], rtol=1e-3
         )
+
+
+def noisy(seconds, seed, law=PUBLISHED):
+    """A log of S4's noise at 10 Hz."""
+    t = np.arange(0.0, seconds, 0.1)
+    return t, law.error_mps2(t) + 0.0033 * np.random.default_rng(seed).standard_normal(t.size)
+
+
+def test_sigmas_are_the_spread_of_the_fits():
+    """80 logs of 2,000 s: each standardised error has a variance of 1 within 0.999 of its law (0.55 to 1.6)."""
+    truth, apart = np.array([PUBLISHED.c1_mps2, PUBLISHED.c2_mps2, PUBLISHED.tau_s]), []
+    for seed in range(80):
+        fit = fit_inertial_law(*noisy(2000.0, seed))
+        assert fit.reason is None
+        apart.append((np.array([fit.law.c1_mps2, fit.law.c2_mps2, fit.law.tau_s]) - truth) / fit.sigma)
+    spread = np.square(apart).mean(0)
+    low, high = chi2.ppf([5e-4, 1.0 - 5e-4], 80) / 80
+    assert ((low < spread) & (spread < high)).all()
+
+
+@pytest.mark.parametrize("seconds", [60.0, 120.0])
+def test_a_log_that_is_too_short_is_fitted_by_a_constant(seconds):
+    """S4's law with tau 500 s and its noise: the constant is its mean, and the message says what is needed."""
+    for seed in range(5):
+        t, a = noisy(seconds, seed)
+        fit = fit_inertial_law(t, a)
+        assert fit.law.c1_mps2 == 0.0
+        assert fit.law.c2_mps2 == pytest.approx(a.mean())
+        assert "log for two tau or more" in fit.reason
+
+
+def test_constant_logs_and_lines_have_no_warm_up():
+    t = np.arange(0.0, 300.0, 0.1)
+    flat = fit_inertial_law(t, np.full(t.size, -0.007))
+    assert (flat.law.c1_mps2, flat.law.c2_mps2) == (0.0, pytest.approx(-0.007))
+    assert flat.reason == "the log is constant"
+    assert fit_inertial_law(t, 1e-5 * t).reason.startswith("tau is not within 0.01 to 2 lengths")
+    white = fit_inertial_law(t, 0.0033 * np.random.default_rng(1).standard_normal(t.size))
+    assert white.law.c1_mps2 == 0.0
+
+
+def test_gravity_left_in_a_log_is_refused():
+    with pytest.raises(InputError, match=r"mean within 1 m/s\^2, got 9.8: subtract gravity"):
+        fit_inertial_law(TIME_S, PUBLISHED.error_mps2(TIME_S) + 9.807)
 
 
 def test_bad_logs_are_refused(tmp_path):
