@@ -41,7 +41,7 @@ def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str 
     ConfigError
         Not an id of highway-env, or one whose ego is none of highway-env's cars under one of its actions.
     """
-    defaults = world_defaults(env_id)
+    defaults = world_defaults(env_id, "env_id")
     kind = {"DiscreteMetaAction": META, "ContinuousAction": CONTINUOUS}.get(defaults["action"]["type"])
     if kind is None:
         raise ConfigError(f"env_id must be driven by one agent, got {env_id!r} with {defaults['action']['type']}")

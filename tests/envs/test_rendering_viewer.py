@@ -6,6 +6,7 @@ import copy
 import pickle
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import gymnasium
@@ -315,7 +316,7 @@ def test_title_incident_and_time_do_not_meet(frame, title, size, monkeypatch):
         viewer.render(replace(frame, title=title, incident=incident, time_s=3599.9))
         rows = sorted(drawn)
         assert [words for *_, words in rows][1:] == [*filter(None, [incident]), "3599.9 s"]
-        assert all(row[1] + 8 <= following[0] for row, following in zip(rows, rows[1:], strict=False))
+        assert all(row[1] + 8 <= following[0] for row, following in pairwise(rows))
         assert len(rows[0][2]) > 4
         assert rows[0][0] >= config.map_width_px
         assert rows[-1][1] <= size[0]
