@@ -129,7 +129,7 @@ def measures(outcomes: Sequence[Outcome]) -> dict[str, float]:
 
 def _label(measure: str) -> tuple[str, str]:
     """A measure and its unit: the cost is a weighted sum, its causes are unweighted."""
-    from lanebound.agents.cli.listing import INFO
+    from lanebound.envs.info import INFO
 
     if measure == "cost":
         return WEIGHTED, ""

@@ -379,9 +379,9 @@ def _require_taking(make: Callable[..., Any], name: str, env: DrivingEnv) -> Non
     try:
         found.bind(env)
     except TypeError as error:
-        told = f"{name.rpartition(':')[2]}{found} ({error})"
+        taken = f"{name.rpartition(':')[2]}{found} ({error})"
         raise InputError(
-            f"agent '{name}' must be callable with the environment, got {told}: give it one argument"
+            f"agent '{name}' must be callable with the environment, got {taken}: give it one argument"
         ) from None
 
 
