@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from lanebound.envs import IDS
 from lanebound.envs.batch.infos import NAMES, single_info
+from lanebound.envs.config import EnvConfig
 from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
 from lanebound.envs.vector.env import engines
 from lanebound.integrity.core.errors import InputError
@@ -78,6 +79,11 @@ class EngineVecEnv(VecEnv):
         self._actions: NDArray[Any] | None = None
         self._returns, self._lengths, self._begun = np.zeros(num_envs), np.zeros(num_envs, np.int64), time.time()
         self._totals = EpisodeTotals(num_envs) if statistics else None
+
+    @property
+    def config(self) -> EnvConfig:
+        """The configuration that all environments share."""
+        return self.envs.config
 
     def reset(self) -> Any:
         """Begin an episode in every environment, under the seeds given by ``seed``."""

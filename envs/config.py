@@ -136,8 +136,10 @@ class EnvConfig(Config):
         if name.endswith((*RECORDING, *FILES)):
             SkyLevel.named(name)
         elif name not in SKY_LEVELS and "/" not in name:
+            advice = nearest(name, SKY_LEVELS)
+            close = f": {advice}" if advice.startswith("did") else ""
             raise ConfigError(
-                f"sky must be one of {', '.join(SKY_LEVELS)}, or a file, got {name!r}: {nearest(name, SKY_LEVELS)} "
+                f"sky must be one of {', '.join(SKY_LEVELS)}, or a file, got {name!r}{close} "
                 "(files: .csv of 'lanebound record-sky', .yaml of your own)"
             )
         return name

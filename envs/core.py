@@ -81,7 +81,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     0.7 m in its position). Between buildings the prediction is wrong by 1 to 3 satellites on average.
 
     ## Rewards
-    The reward is the weighted sum of these terms, all computed from the true state; at most 1.2 a second.
+    The reward is the weighted sum of these terms, all computed from the true state; at most 1.2 a second
+    (`progress` 1 and `lane_centre` 0.2).
     `info["rewards"]` holds the unweighted terms. Symbols: v speed, psi heading relative to the lane, d offset from the
     middle of the lane, a acceleration (along and across), dt length of a step.
 
@@ -165,19 +166,21 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     with errors of 0.05 m and 0.5 degrees (1 sigma). The map has an error of 0.03 m (1 sigma) on each axis, for which a
     tenth of the integrity risk is allocated. The correction link may be in an outage at the start. All vehicles of an
     episode share the atmosphere and the reference station; half of the outages affect all of them, the others a single
-    vehicle.
+    vehicle. An episode may begin under an alert (reason `holding`), which clears within 1 s.
 
     ## Episode End
     Terminated when the true car has crashed, has its middle off the road or has driven against its lane for 1 s, at the
-    goal of a world that has one, and by the rules of the wrapped world. Truncated when the world's time is up.
+    goal of a world that has one, and by the rules of the wrapped world. Truncated when the world's time is up. As in
+    Gymnasium, a `step` after the end is not refused in a single environment; it continues rewards and costs, so reset
+    instead. The vector engine resets by itself, or refuses (`AutoresetMode.DISABLED`).
 
     `info["is_success"]` is true in the last step if the true car is unharmed, on the road, in the direction of its
     lane, at the goal (Merge, Roundabout, Intersection) and in time. In time: its mean speed along the lane was at least
     `success_share` of the speed that the limit, the bends (2 m/s2 across) and a vehicle ahead within 4 s allowed, and
-    it is at most 10 s (`success_behind_s`) behind a car at that share, to which no lead adds: a car that makes way and
-    then stops for good is late. With a wreck within these 4 s no vehicle ahead lowers the allowed speed, so that to
-    wait behind it is no success. Costs do not count for a success. Report successes within `cost_limit` beside the mean
-    speed (`success_within_limit` and `mean_speed` of the benchmark).
+    at the end it is at most 10 s (`success_behind_s`) behind a car that always drives at that share. A lead gained
+    earlier is not credited: a car that drives fast and then stops for good is late. With a wreck within these 4 s no
+    vehicle ahead lowers the allowed speed, so waiting behind it is no success. Costs do not count for a success. Report
+    successes within `cost_limit` beside the mean speed (`success_within_limit` and `mean_speed` of the benchmark).
 
     ## Arguments
     `gymnasium.make(id, config={...}, render_mode=...)`. `config` is merged deeply over the preset of the id; an unknown

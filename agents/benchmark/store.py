@@ -20,7 +20,7 @@ from lanebound.agents.benchmark.outcome import Outcome, Task
 from lanebound.agents.benchmark.source import agent_digest, source_digest
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.checkpointing.files import replace_file
-from lanebound.agents.checkpointing.folder import MANIFEST, ResultFolder, package_versions
+from lanebound.agents.checkpointing.folder import MANIFEST, ResultFolder, package_versions, plugin_digests
 from lanebound.agents.episodes.columns import Column, columns
 from lanebound.agents.episodes.log import schema_of
 from lanebound.integrity.core.errors import InputError
@@ -110,7 +110,8 @@ class EpisodeStore:
     def same_version(self) -> bool:
         """Whether the code and the packages are those that the episodes were driven with."""
         found = self.manifest()
-        return (found.get("source"), found.get("packages")) == (source_digest(), package_versions())
+        then = found.get("source"), found.get("plugins"), found.get("packages")
+        return then == (source_digest(), plugin_digests(), package_versions())
 
     def manifest(self) -> dict[str, Any]:
         """The manifest: versions of the code and of packages, and the suite."""

@@ -32,7 +32,8 @@ try:
 except ImportError:  # Windows: folders are not locked there
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["MANIFEST", "ResultFolder", "code_digest", "locked", "package_versions"]
+__all__ = ["MANIFEST", "ResultFolder", "code_digest", "locked", "package_versions",
+           "plugin_digests"]  # fmt: skip
 
 MANIFEST, LOCK = "run.json", ".lock"
 FORMAT = 1
@@ -86,8 +87,9 @@ class ResultFolder:
         for key in self.growing:
             fixed[key] = {**before.get(key, {}), **fixed[key]}
         head = {"format": FORMAT, "kind": self.kind, "version": version("lanebound"), "source": self.source}
-        data = {"packages": package_versions(), "config": self.config, "fixed": fixed, **self.extra}
-        write_json(self.path / MANIFEST, head | data)
+        made_with = {"plugins": plugin_digests(), "packages": package_versions()}
+        data = {"config": self.config, "fixed": fixed, **self.extra}
+        write_json(self.path / MANIFEST, head | made_with | data)
 
     def check(self) -> dict[str, Any]:
         """The manifest of a folder that can be claimed; empty for a new folder.
@@ -212,8 +214,13 @@ def _other_version(found: Mapping[str, Any], source: str) -> str:
     """What has another version than in a manifest; "" where nothing has."""
     if found.get("source") != source:
         return f"the code ({found.get('version')}, {found.get('source')})"
+    then, now = found.get("plugins", {}), plugin_digests()
+    for name in sorted(then.keys() | now.keys()):
+        if then.get(name) != now.get(name):
+            changed = "changed since" if name in then and name in now else "new" if name in now else "not loaded now"
+            return f"the plug-in {name} ({changed})"
     then = found.get("packages", {})
-    moved = next((name for name, now in package_versions().items() if then.get(name) != now), None)
+    moved = next((name for name, version in package_versions().items() if then.get(name) != version), None)
     return "" if moved is None else f"{moved} ({then.get(moved, 'not recorded')})"
 
 
@@ -228,7 +235,7 @@ def _short(value: Any) -> str:
 
 @cache
 def code_digest(*sources: str) -> str:
-    """Digest of Python and YAML files and of the plug-ins that are loaded, as they are at the first call.
+    """Digest of Python and YAML files, as they are at the first call.
 
     Parameters
     ----------
@@ -242,9 +249,13 @@ def code_digest(*sources: str) -> str:
         for path in sorted(files):
             if "suites" not in path.parts:
                 found.update(path.read_bytes())
-    for file in sorted(filter(None, loaded_plugins().values())):
-        found.update(Path(file).read_bytes())
     return found.hexdigest()
+
+
+def plugin_digests() -> dict[str, str]:
+    """Digests of the files of the plug-ins that are loaded, by file name."""
+    files = [Path(file) for file in filter(None, loaded_plugins().values())]
+    return {file.name: hashlib.blake2b(file.read_bytes(), digest_size=8).hexdigest() for file in files}
 
 
 @cache

@@ -19,6 +19,7 @@ from lanebound.envs.records import EgoBelief
 from lanebound.envs.rewards import TERMS
 from lanebound.envs.truth import true_lead
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import nearest, require_registered
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
@@ -29,6 +30,14 @@ __all__ = ["COLUMNS", "Column", "Moment", "columns", "describe_columns", "regist
 RTK_NAMES = {status.code: status.name.lower() for status in RtkStatus}
 GAP_REACH_M = 100.0  # nobody follows a vehicle that is further ahead
 Kind = Literal["int", "float", "bool", "text", "floats"]
+TYPES: dict[str, tuple[type, ...]] = {
+    "int": (int, np.integer),
+    "float": (float, int, np.floating, np.integer),
+    "bool": (bool, np.bool_),
+    "text": (str,),
+    "floats": (list, tuple, np.ndarray),
+}
+"""Types of the values of a column by its kind; ``floats`` holds values of ``float``."""
 
 
 @dataclass(frozen=True)
@@ -182,21 +191,64 @@ def register_column(column: Column) -> None:
     Raises
     ------
     InputError
-        The name is taken.
+        The name is taken, or there is no such kind.
     """
     if column.name in {other.name for other in columns()}:
         raise InputError(f"name of a column must not be taken, got {column.name!r}: choose another")
+    if column.kind not in TYPES:
+        raise InputError(
+            f"kind of column {column.name!r} must be one of {', '.join(TYPES)}, got {column.kind!r}: "
+            f"{nearest(column.kind, TYPES)}"
+        )
     _registered.append(column)
 
 
 def withdraw_column(name: str) -> None:
-    """Take back a column that was registered."""
+    """Remove a registered column.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+    """
+    require_registered("column", name, [column.name for column in _registered])
     _registered[:] = [column for column in _registered if column.name != name]
 
 
 def row_of(moment: Moment) -> dict[str, Any]:
-    """One row of the log."""
-    return {column.name: column.take(moment) for column in columns()}
+    """One row of the log.
+
+    Raises
+    ------
+    InputError
+        The function of a registered column fails, or returns a value of another kind than the column declares.
+    """
+    row = {column.name: column.take(moment) for column in COLUMNS}
+    return row | {column.name: _taken(column, moment) for column in _registered}
+
+
+def _taken(column: Column, moment: Moment) -> Any:
+    """The value of a registered column, checked."""
+    try:
+        value = column.take(moment)
+    except Exception as exc:
+        raise InputError(
+            f"the function of column {column.name!r} must return a value, got {type(exc).__name__}: {exc} at seed "
+            f"{moment.seed}, step {moment.step}: correct the function"
+        ) from exc
+    if value is not None and not _is_of(value, column.kind):
+        raise InputError(
+            f"the function of column {column.name!r} must return a value of kind {column.kind}, got {value!r} at seed "
+            f"{moment.seed}, step {moment.step}: convert it, or declare another kind"
+        )
+    return value
+
+
+def _is_of(value: Any, kind: Kind) -> bool:
+    """Whether a value can be stored in a column of a kind."""
+    if kind == "floats":
+        return not isinstance(value, str) and all(isinstance(number, TYPES["float"]) for number in value)
+    return isinstance(value, TYPES[kind]) and (kind == "bool" or not isinstance(value, bool))
 
 
 def describe_columns() -> str:

@@ -31,6 +31,7 @@ from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation.index import Observed, entries, sources_of
 from lanebound.integrity.core.accel import call_links, run_rows
 from lanebound.integrity.core.bundle_kernel import Bundle
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records
 
 __all__ = ["Episodes", "empty_cars", "reach_of"]
@@ -264,8 +265,13 @@ class Episodes:
         observed = Observed(self.ego.shown[rows], v.own[rows], v.preview[rows], self.sky[rows], v.vehicles[rows])
         for place, entry in self._extra:
             if callable(entry.source):
-                value = np.asarray(entry.source(observed), dtype=np.float64) / entry.scale
-                self.frame[rows, place] = np.clip(value, entry.low, entry.high)
+                value = np.asarray(entry.source(observed), dtype=np.float64)
+                if value.shape != observed.belief.shape:
+                    raise InputError(
+                        f"source of entry {entry.column} must return one number for each environment, shape "
+                        f"{observed.belief.shape}, got shape {value.shape}: return an array of that shape"
+                    )
+                self.frame[rows, place] = np.clip(value / entry.scale, entry.low, entry.high)
 
 
 def _words(records: Records) -> Array:

@@ -12,6 +12,7 @@ from lanebound.envs.ids.preset import Preset, has_engine, id_of
 from lanebound.envs.ids.streets import CarFollowing, LaneKeeping, UrbanCanyon
 from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import require_registered
 
 __all__ = ["CLASSES", "IDS", "enter", "preset_of", "presets", "register_id", "withdraw_id"]
 
@@ -60,10 +61,17 @@ def register_id(kind: type[Preset]) -> str:
     return id_of(kind)
 
 
-def withdraw_id(kind: type[Preset]) -> None:
-    """Remove a registered id."""
-    _registered.remove(kind)
-    del IDS[id_of(kind)], gymnasium.registry[id_of(kind)]
+def withdraw_id(name: str) -> None:
+    """Remove a registered id.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+    """
+    require_registered("id", name, [id_of(kind) for kind in _registered])
+    _registered[:] = [kind for kind in _registered if id_of(kind) != name]
+    del IDS[name], gymnasium.registry[name]
 
 
 def enter(kind: type[Preset]) -> None:

@@ -28,7 +28,7 @@ from lanebound.envs.batch.ego_kernel import STEERING_MOST_RAD
 from lanebound.envs.batch.records_kernel import BELIEF
 from lanebound.envs.observation.config import ObservationConfig
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.presets import nearest
+from lanebound.integrity.core.presets import nearest, require_registered
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
@@ -315,9 +315,16 @@ def register_entry(entry: Entry) -> None:
     _registered.append(entry)
 
 
-def withdraw_entry(entry: Entry) -> None:
-    """Remove a registered entry; environments that exist already still show it."""
-    _registered.remove(entry)
+def withdraw_entry(column: str) -> None:
+    """Remove a registered entry, ``group.name``; environments that exist already still show it.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+    """
+    require_registered("entry", column, [entry.column for entry in _registered])
+    _registered[:] = [entry for entry in _registered if entry.column != column]
 
 
 def entries(config: ObservationConfig) -> tuple[Entry, ...]:

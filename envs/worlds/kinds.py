@@ -15,6 +15,7 @@ import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import require_registered
 
 if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
@@ -101,7 +102,14 @@ def register_world(kind: WorldKind) -> None:
 
 
 def withdraw_world(name: str) -> None:
-    """Remove a registered world."""
+    """Remove a registered world.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+    """
+    require_registered("world", name, _kinds)
     del _kinds[name]
 
 

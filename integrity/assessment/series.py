@@ -206,7 +206,7 @@ def _draw_obstacles(axes: Axes, outlines: list[Array]) -> None:
 
 def _mark_ends(axes: Axes, position: Array) -> None:
     """Mark start and end of the drive."""
-    for at, marker, label in ((position[0], "o", "start"), (position[-1], "s", "end")):
+    for at, marker, label in ((position[0], "o", "first estimate"), (position[-1], "s", "last estimate")):
         look: dict[str, Any] = {"s": 64, "facecolors": "white", "edgecolors": INK, "linewidths": 1.6, "zorder": 5}
         axes.scatter(at[0], at[1], marker=marker, label=label, **look)
 

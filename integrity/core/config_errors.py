@@ -56,6 +56,9 @@ def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str, unchang
             )
         advice = nearest(str(loc[-1]), owner.model_fields if owner else ())
         inside = joined("" if path.endswith(FILES) else path, loc[:-1])
+        head, _, rest = str(loc[-1]).partition(".")
+        if owner is not None and rest and head in owner.model_fields:
+            return f"{dotted} is not a known key: nest the mappings, {{{head!r}: {{{rest!r}: ...}}}}"
         return f"{dotted} is not a known key: {_with_path(advice, inside)}"
     if kind == "missing":
         return f"{dotted} is required, got nothing: add it"

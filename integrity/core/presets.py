@@ -13,11 +13,11 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 __all__ = [
     "FILES", "about_preset", "deep_merge", "load_file", "load_preset", "mapping_of", "nearest", "parse_assignments",
-    "parse_yaml", "preset_names", "preset_values",
+    "parse_yaml", "preset_names", "preset_values", "require_registered",
 ]  # fmt: skip
 
 PRESET_PACKAGE = "lanebound.configs"
@@ -52,6 +52,19 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def _bare(name: str) -> str:
     """A name without what stands before its last slash, and without its version."""
     return VERSION.sub("", name.rpartition("/")[2]) or name
+
+
+def require_registered(what: str, name: str, registered: Iterable[str]) -> None:
+    """Refuse the name of an extension that is not registered.
+
+    Raises
+    ------
+    InputError
+        ``name`` is not among ``registered``.
+    """
+    known = tuple(registered)
+    if name not in known:
+        raise InputError(f"{what} must be a registered one, got {name!r}: {nearest(name, known)}")
 
 
 def deep_merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:

@@ -184,7 +184,15 @@ def register_navigator(config: type[NavigatorConfig], navigator: type[Navigator]
 
 
 def withdraw_navigator(config: type[NavigatorConfig]) -> None:
-    """Take back a kind that was registered."""
+    """Remove a registered kind.
+
+    Raises
+    ------
+    InputError
+        The configuration is not registered.
+    """
+    if config not in KINDS:
+        raise InputError(f"config must be a registered class, got {config!r}: pass what register_navigator was given")
     NavigatorConfig.withdraw(config)
     del KINDS[config]
 

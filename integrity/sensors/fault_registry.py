@@ -8,7 +8,7 @@ from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.presets import nearest
+from lanebound.integrity.core.presets import nearest, require_registered
 from lanebound.integrity.sensors.fault_kinds import FaultKind
 from lanebound.integrity.sensors.fault_table import FAULT_TABLE
 
@@ -70,7 +70,8 @@ def withdraw_fault(name: str) -> None:
     """
     if name in BUILT_IN:
         raise InputError(f"a kind of the package cannot be removed, got {name!r}: remove registered kinds alone")
-    del _kinds[fault_kind(name).name]
+    require_registered("fault kind", name, [kind for kind in _kinds if kind not in BUILT_IN])
+    del _kinds[name]
 
 
 def _names() -> str:

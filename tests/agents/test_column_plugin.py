@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Callable
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes import EpisodeLog, drive, open_env
-from lanebound.agents.episodes.columns import COLUMNS, columns, register_column, withdraw_column
+from lanebound.agents.episodes.columns import COLUMNS, Column, Moment, columns, register_column, withdraw_column
 from lanebound.integrity.core.errors import InputError
 
 
@@ -40,3 +42,29 @@ def test_a_column_is_logged() -> None:
         withdraw_column("headway_s")
     assert columns() == COLUMNS
     assert module.headway_s
+    with pytest.raises(InputError, match="column must be a registered one, got 'headway_s': none are known"):
+        withdraw_column("headway_s")
+
+
+@pytest.mark.parametrize(
+    ("take", "message"),
+    [
+        (lambda m: m.info["nope"], "must return a value, got KeyError: 'nope' at seed 1, step 0: correct the function"),
+        (lambda m: "fast", "must return a value of kind float, got 'fast' at seed 1, step 0: convert it, or declare"),
+        (lambda m: True, "must return a value of kind float, got True at seed 1, step 0"),
+    ],
+)
+def test_a_column_whose_function_fails_is_named(take: Callable[[Moment], Any], message: str) -> None:
+    register_column(Column("mine", "float", "", "a column with a mistake", take))
+    env = open_env("LaneKeeping", {"sky": "open", "duration_s": 1.0}, None)
+    try:
+        with pytest.raises(InputError, match=f"^the function of column 'mine' {message}"):
+            drive(env, make_agent("nominal", env), [1], [EpisodeLog()])
+    finally:
+        withdraw_column("mine")
+        env.close()
+
+
+def test_a_column_of_an_unknown_kind_is_refused() -> None:
+    with pytest.raises(InputError, match=r"kind of column 'mine' must be one of int, .*, got 'flt': known are"):
+        register_column(Column("mine", "flt", "", "", lambda m: 0.0))  # type: ignore[arg-type]

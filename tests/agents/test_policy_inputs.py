@@ -40,7 +40,7 @@ def more_entries() -> Iterator[None]:
     assert 0 < columns.index(MIDDLE.column) < len(columns) - 1 == columns.index(END.column)
     yield
     for entry in (MIDDLE, END):
-        withdraw_entry(entry)
+        withdraw_entry(entry.column)
 
 
 def drive(env: DrivingEnv, agent: str, steps: int) -> list[Any]:
@@ -97,7 +97,7 @@ def test_new_entries_change_no_action_of_a_checkpoint_that_names_its_entries(tmp
         with pytest.raises(InputError, match="must be trained on these observations"):
             make_agent(str(path), open_env("LaneKeeping", deep_merge(given, form)))
     finally:
-        withdraw_entry(MIDDLE)
+        withdraw_entry(MIDDLE.column)
 
 
 def _network(path: Path, inputs: PolicyInputs, groups: dict[str, int]) -> None:
@@ -124,7 +124,7 @@ def test_new_entries_change_no_action_of_a_network(tmp_path, named):
         for form in FORMS:
             assert drive(open_env("LaneKeeping", deep_merge(GIVEN, form)), path, 3) == wanted
     finally:
-        withdraw_entry(MIDDLE)
+        withdraw_entry(MIDDLE.column)
 
 
 def test_an_order_of_its_own_is_kept_in_batches_and_with_a_history():
@@ -151,7 +151,7 @@ def test_a_missing_entry_is_named(more_entries):
         r"configure 'observation' as in its training, or register the entry$",
     ):
         inputs.select_from(ObservationConfig(vehicles=5), "agent a")
-    withdraw_entry(END)
+    withdraw_entry(END.column)
     try:
         with pytest.raises(InputError, match=r"got one without 'traffic\.plugin_lane': configure"):
             inputs.select_from(ObservationConfig(), "agent a")

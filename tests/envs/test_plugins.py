@@ -48,14 +48,14 @@ def two_entries() -> Iterator[dict[str, Entry]]:
     found = _load("elapsed_time").ELAPSED_TIME, _load("stopping_distance").STOPPING_DISTANCE
     yield {entry.name: entry for entry in found}
     for entry in found:
-        withdraw_entry(entry)
+        withdraw_entry(entry.column)
 
 
 @pytest.fixture
 def hairpin() -> Iterator[ModuleType]:
     module = _load("hairpin")
     yield module
-    withdraw_id(module.Hairpin)
+    withdraw_id("lanebound/Hairpin-v0")
     withdraw_world("HairpinWorld")
 
 
@@ -87,6 +87,19 @@ def test_entries_are_shown_by_the_single_environment_and_the_engine(two_entries:
     engine.close()
 
 
+def test_an_entry_must_give_a_number_for_each_environment() -> None:
+    scalar = Entry("constant", "ego", "", 1.0, 0.0, 1.0, "one number for all", source=lambda o: np.float64(3.0))
+    register_entry(scalar)
+    try:
+        env = gymnasium.make(KEEPING, config=OPEN)
+        with pytest.raises(InputError, match=r"ego.constant must return one number .*shape \(1,\), got shape \(\)"):
+            env.reset(seed=1)
+    finally:
+        withdraw_entry("ego.constant")
+    with pytest.raises(InputError, match=r"entry must be a registered one, got 'ego.constant': none are known"):
+        withdraw_entry("ego.constant")
+
+
 def test_an_environment_with_them_is_pickled(two_entries: dict[str, Entry]) -> None:
     env = open_env("LaneKeeping", {**PERFECT, "observation": {"form": "flat"}})
     env.reset(seed=2)
@@ -99,7 +112,7 @@ def test_the_index_lists_them_until_they_are_withdrawn(two_entries: dict[str, En
     assert "| ego | 15 | elapsed_time | s | 60 | [0, 1] | time since the start of the episode |" in describe()
     assert "| ego | 16 | stopping_distance | m | 50 | [0, 1] | distance until the car stands at 3 m/s2," in describe()
     for entry in two_entries.values():
-        withdraw_entry(entry)
+        withdraw_entry(entry.column)
     assert not any(name in describe() for name in two_entries)
     for entry in two_entries.values():
         register_entry(entry)
@@ -184,7 +197,7 @@ def test_its_id_is_one_as_others_until_it_is_withdrawn(hairpin: ModuleType) -> N
         register_id(hairpin.Hairpin)
     with pytest.raises(InputError, match="name of a world must not be taken, got 'HairpinWorld': choose another"):
         register_world(WorldKind("HairpinWorld", hairpin.HairpinWorld))
-    withdraw_id(hairpin.Hairpin)
+    withdraw_id("lanebound/Hairpin-v0")
     try:
         assert HAIRPIN not in IDS
         assert HAIRPIN not in engines()
@@ -224,5 +237,5 @@ def test_an_unknown_world_and_one_without_an_engine_are_refused(hairpin: ModuleT
         ):
             pair("Alone", PERFECT)
     finally:
-        withdraw_id(Alone)
+        withdraw_id("lanebound/Alone-v0")
         withdraw_world("AloneWorld")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.plugins import find
+from lanebound.integrity.core.presets import require_registered
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import advance_doppler, advance_imu_odometer
 from lanebound.integrity.navigators.rtk_reckoning.stages import STATELESS, OutsideStage, Stage
@@ -64,6 +65,13 @@ def register_mode(name: str, label: str, stage: Stage, initial: Records | None =
 
 
 def withdraw_mode(name: str) -> None:
-    """Take back the mode that was registered last."""
+    """Remove the mode that was registered last.
+
+    Raises
+    ------
+    InputError
+        There is none of this name, it is a mode of the package, or another mode was registered after it.
+    """
+    require_registered("mode", name, MODES)
     Mode.withdraw(MODES[name].mode)
     del MODES[name]

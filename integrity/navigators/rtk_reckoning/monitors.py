@@ -12,6 +12,7 @@ from enum import Enum
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.plugins import find
+from lanebound.integrity.core.presets import require_registered
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.navigators.rtk_reckoning.drift_stage_kernel import watch_drift
@@ -151,5 +152,12 @@ def register_monitor(
 
 
 def withdraw_monitor(name: str) -> None:
-    """Take back a monitor that was registered."""
+    """Remove a registered monitor.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+    """
+    require_registered("monitor", name, MONITORS)
     del MONITORS[name]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.plugins import find
+from lanebound.integrity.core.presets import require_registered
 from lanebound.integrity.navigators.services.config import CodeServiceConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.augmentation import PROVIDERS
@@ -113,14 +114,15 @@ def register_service(
 
 
 def withdraw_service(name: str) -> None:
-    """Take back the service that was registered last.
+    """Remove the service that was registered last.
 
     Raises
     ------
     InputError
-        It is a service of this package, or another mode was registered after it.
+        There is none of this name, it is a service of the package, or another mode was registered after it.
     """
     if name in BUILT_IN:
-        raise InputError(f"name must be that of a service from outside, got {name!r}: leave it")
+        raise InputError(f"a service of the package cannot be removed, got {name!r}: remove registered services alone")
+    require_registered("service", name, [service for service in SERVICES if service not in BUILT_IN])
     Mode.withdraw(SERVICES[name].mode)
     del SERVICES[name]

@@ -57,6 +57,7 @@ def test_another_kind_of_work_is_refused(tmp_path: Path) -> None:
     ("change", "what"),
     [
         ({"source": "0"}, r"another version of the code \(.*, 0\)"),
+        ({"plugins": {"mine.py": "0"}}, r"another version of the plug-in mine\.py \(not loaded now\)"),
         ({"packages": {"Python": "3"}}, r"another version of Python \(3\)"),
         ({"packages": {}}, r"another version of Python \(not recorded\)"),
         ({"format": 0}, r"whose run\.json is of another version of lanebound"),
@@ -236,7 +237,7 @@ def test_recorded_drives_refuse_a_file_as_their_folder_first(
 def test_a_manifest_is_plain_json(tmp_path: Path) -> None:
     study(tmp_path, extra={"left_out": []}).claim()
     found = json.loads((tmp_path / MANIFEST).read_text(encoding="utf-8"))
-    assert list(found) == ["format", "kind", "version", "source", "packages", "config", "fixed", "left_out"]
+    assert list(found) == ["format", "kind", "version", "source", "plugins", "packages", "config", "fixed", "left_out"]
     assert {"Python", "numpy", "numba", "highway-env"} <= set(found["packages"])
 
 

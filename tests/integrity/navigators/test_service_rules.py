@@ -137,6 +137,6 @@ def test_what_cannot_be_registered_is_refused() -> None:
         register_service("mine", "mine", "nothing", declared, provider="nobody")
     with pytest.raises(InputError, match="second must name a band"):
         register_service("mine", "mine", "nothing", declared, combined=True)
-    with pytest.raises(InputError, match="from outside, got 'spp'"):
+    with pytest.raises(InputError, match="service of the package cannot be removed, got 'spp'"):
         withdraw_service("spp")
     assert "mine" not in SERVICES
