@@ -12,7 +12,7 @@ from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["IDS", "make_config", "register_all", "wrap"]
+__all__ = ["IDS", "base_of", "make_config", "register_all", "wrap"]
 
 
 def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvConfig:
@@ -28,6 +28,12 @@ def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvC
     if env_id not in IDS:
         raise InputError(f"env_id must be one of {', '.join(IDS)}, got {env_id!r}: {nearest(env_id, IDS)}")
     return EnvConfig.build(IDS[env_id], overrides)
+
+
+def base_of(env_id: str) -> str:
+    """The world of an id of ours, with or without ``lanebound/``; any other id is its own."""
+    ours = f"lanebound/{env_id.removeprefix('lanebound/')}"
+    return make_config(ours).base if ours in IDS else env_id
 
 
 def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> DrivingEnv:

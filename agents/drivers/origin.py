@@ -14,8 +14,8 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 
 from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs
-from lanebound.envs import IDS, make_config
 from lanebound.envs.observation import ObservationConfig
+from lanebound.envs.registration import base_of
 from lanebound.integrity.core.accel import LOGGER
 
 __all__ = [
@@ -103,7 +103,7 @@ def elsewhere(name: str, base: str) -> str:
     env = environment_in(Path(name))
     if not env:
         return f"policy {name} does not say where it was learnt and drives {base} here"
-    if _base(env) == base:
+    if base_of(env) == base:
         return ""
     return f"policy {name} was learnt in {env} and drives {base} here: its results say nothing of what it learnt"
 
@@ -113,9 +113,3 @@ def report_elsewhere(name: str, base: str) -> None:
     """Log :func:`elsewhere`, once for each policy and world."""
     if warning := elsewhere(name, base):
         LOGGER.warning("lanebound: %s", warning)
-
-
-def _base(env: str) -> str:
-    """The world of an id; an id of highway-env is its own."""
-    env_id = f"lanebound/{env.removeprefix('lanebound/')}"
-    return make_config(env_id).base if env_id in IDS else env

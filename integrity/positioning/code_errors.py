@@ -103,9 +103,8 @@ class CodeErrorBudget(Config):
     def errors(self, sine: ArrayLike, cn0_dbhz: ArrayLike) -> CodeErrorParts:
         """The parts of codes of one band by the sine of the elevation and C/N0 [dB-Hz], (...,) each."""
         level, cn0 = np.broadcast_arrays(np.asarray(sine, np.float64), np.asarray(cn0_dbhz, np.float64))
-        parts = np.empty(level.size, CODE_PARTS)
-        run_rows(fill_parts, level.size, self.rules(), level.ravel(), cn0.ravel(), parts, row_us=ROW_US)
-        parts = parts.reshape(level.shape)
+        parts = np.empty(level.shape, CODE_PARTS)
+        run_rows(fill_parts, level.size, self.rules(), level.ravel(), cn0.ravel(), parts.reshape(-1), row_us=ROW_US)
         common = np.stack([parts["iono"], parts["tropo"]], -1)
         return CodeErrorParts(parts["fast"], parts["own"], common, parts["factor"])
 
