@@ -61,7 +61,7 @@ class Decisions(NamedTuple):
     @property
     def finite(self) -> NDArray[np.bool_]:
         """Whether all values of a decision are finite, (n,)."""
-        return np.isfinite(np.column_stack(self)).all(-1)
+        return np.asarray(np.isfinite(np.column_stack(self)).all(-1))
 
 
 class Gains(NamedTuple):
