@@ -12,7 +12,7 @@ from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["IDS", "make_config", "register_all", "wrap"]
+__all__ = ["IDS", "base_of", "make_config", "register_all", "wrap"]
 
 
 def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvConfig:
@@ -30,6 +30,12 @@ def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvC
     return EnvConfig.build(IDS[env_id], overrides)
 
 
+def base_of(env_id: str) -> str:
+    """The world of an id of ours, with or without ``lanebound/``; any other id is its own."""
+    ours = f"lanebound/{env_id.removeprefix('lanebound/')}"
+    return make_config(ours).base if ours in IDS else env_id
+
+
 def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> DrivingEnv:
     """The same for any other highway-env id: its world, driven on belief.
 
@@ -41,7 +47,7 @@ def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str 
     ConfigError
         Not an id of highway-env, or one whose ego is none of highway-env's cars under one of its actions.
     """
-    defaults = world_defaults(env_id)
+    defaults = world_defaults(env_id, "env_id")
     kind = {"DiscreteMetaAction": META, "ContinuousAction": CONTINUOUS}.get(defaults["action"]["type"])
     if kind is None:
         raise ConfigError(f"env_id must be driven by one agent, got {env_id!r} with {defaults['action']['type']}")

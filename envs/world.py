@@ -50,7 +50,7 @@ def _crossing_road(world: IntersectionEnv) -> None:
     world.road.__class__ = CrossingRoad
 
 
-def _class_of(base: str) -> type[AbstractEnv]:
+def _class_of(base: str, called: str = "base") -> type[AbstractEnv]:
     """The class behind the name of one of our worlds, or behind a registered id of highway-env's."""
     declared = world_kind(base)
     if declared is not None and declared.world is not None:
@@ -62,14 +62,16 @@ def _class_of(base: str) -> type[AbstractEnv]:
         own = [kind.name for kind in world_kinds() if kind.world is not None]
         ours = f"lanebound/{base}"
         advice = _make_it(ours) if ours in gymnasium.registry else nearest(base, [*own, *known])
-        raise ConfigError(f"base must be a highway-env id or one of {', '.join(own)}, got {base!r}: {advice}") from None
+        raise ConfigError(
+            f"{called} must be a highway-env id or one of {', '.join(own)}, got {base!r}: {advice}"
+        ) from None
     creator = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
     if not (isinstance(creator, type) and issubclass(creator, AbstractEnv)):
         advice = _make_it(base) if base.startswith("lanebound/") else "wrap one of highway-env's ids"
-        raise ConfigError(f"base must be a highway-env environment, got {base!r}: {advice}")
+        raise ConfigError(f"{called} must be a highway-env environment, got {base!r}: {advice}")
     if issubclass(creator, ParkingEnv):
         raise ConfigError(
-            f"base must have lanes to drive along, got {base!r}, where the goal is a pose: choose another id"
+            f"{called} must have lanes to drive along, got {base!r}, where the goal is a pose: choose another id"
         )
     return creator
 
@@ -78,15 +80,15 @@ def _make_it(env_id: str) -> str:
     return f"'{env_id}' has navigation already, make it with gymnasium.make('{env_id}')"
 
 
-def world_defaults(base: str) -> dict[str, Any]:
-    """A world's own configuration, to be overridden key by key.
+def world_defaults(base: str, called: str = "base") -> dict[str, Any]:
+    """A world's own configuration, to be overridden key by key; ``called`` names the parameter in a refusal.
 
     Raises
     ------
     ConfigError
         No such world, or one that cannot be driven along lanes.
     """
-    defaults: dict[str, Any] = _class_of(base).default_config()
+    defaults: dict[str, Any] = _class_of(base, called).default_config()
     return defaults
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise, product
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,18 +20,65 @@ from lanebound.agents.drivers.horizon import GROWTH_SPEED_MPS, GrowthConfig
 from lanebound.agents.drivers.nominal import make_nominal
 from lanebound.agents.episodes import drive, open_env
 
-__all__ = ["fit_growth", "gains_of", "growth_of", "measure_growth", "most_satellites"]
+__all__ = ["Decisions", "Gains", "fit_growth", "gains_of", "growth_of", "measure_growth", "most_satellites"]
 
 Array = NDArray[np.float64]
 
 SHOWN = ("integrity.since_rtk", "integrity.pl_at", "integrity.pl_ct", "integrity.corrections_age", "ego.speed")
-SINCE, AT, CT, AGE, SPEED, SEEN = range(6)
 LONGEST_S = 12.0  # of an outage that counts for the law
 HORIZON_S = 4.0  # for which a level on RTK is predicted
 SLOWEST_MPS = 1.0  # mean speed of an outage that counts for the law
 BINS = 12  # of time, evenly in its logarithm
 FEWEST = 30  # outages, and decisions at a number of satellites, that a quantile is taken of
 OUT_SHARE = 0.6  # of decisions, where RTK counts as lost
+
+
+class Decisions(NamedTuple):
+    """What a driver saw at its n decisions, (n,) each but the levels.
+
+    Attributes
+    ----------
+    since_s : time without RTK; level_m : (n, 2) protection levels along and across; age_s : of corrections
+    speed_mps : of the ego; satellites : predicted here
+    """
+
+    since_s: Array
+    level_m: Array
+    age_s: Array
+    speed_mps: Array
+    satellites: Array
+
+    @classmethod
+    def of(cls, rows: Array) -> Self:
+        """From rows (n, 6) of the values of SHOWN and the satellites."""
+        since, at, ct, age, speed, satellites = np.asarray(rows, dtype=np.float64).T
+        return cls(since, np.column_stack([at, ct]), age, speed, satellites)
+
+    def take(self, which: NDArray[Any]) -> Self:
+        """Some of the decisions, by a mask or by indices."""
+        return type(self)(*(column[which] for column in self))
+
+    @property
+    def finite(self) -> NDArray[np.bool_]:
+        """Whether all values of a decision are finite, (n,)."""
+        return np.asarray(np.isfinite(np.column_stack(self)).all(-1))
+
+
+class Gains(NamedTuple):
+    """Gains of the levels in n decisions without RTK.
+
+    Attributes
+    ----------
+    time_s : (n,) without RTK; level_m : (n, 2) gains along and across since then; speed_mps : (n,) mean since then
+    """
+
+    time_s: Array
+    level_m: Array
+    speed_mps: Array
+
+    def take(self, which: NDArray[Any]) -> Self:
+        """Some of the decisions, by a mask or by indices."""
+        return type(self)(*(column[which] for column in self))
 
 
 class _Recorder(StatelessDriver):
@@ -49,13 +96,9 @@ class _Recorder(StatelessDriver):
 
 def measure_growth(
     names: Sequence[str], skies: Sequence[str], seeds: int, on_progress: OnProgress = ignore
-) -> tuple[list[Array], float]:
-    """What the nominal driver sees in ``seeds`` episodes of each id under each sky; the time between decisions [s].
-
-    Each array (n, 6): time without RTK [s], levels along and across [m], age of corrections [s], speed [m/s],
-    satellites predicted.
-    """
-    found: list[Array] = []
+) -> tuple[list[Decisions], float]:
+    """What the nominal driver sees in ``seeds`` episodes of each id under each sky; the time between decisions [s]."""
+    found: list[Decisions] = []
     step_s = 0.0
     for name, sky in product(names, skies):
         env = open_env(name, {"sky": sky})
@@ -63,27 +106,26 @@ def measure_growth(
         for seed in TRAIN[:seeds]:
             recorder = _Recorder(make_nominal(env), Reader(env.config.observation))
             drive(env, recorder, [seed])
-            found.append(np.array(recorder.rows))
+            found.append(Decisions.of(np.array(recorder.rows)))
             on_progress(RunProgress(of=len(names) * len(skies) * seeds, done=len(found)))
         env.close()
     return found, step_s
 
 
-def gains_of(episodes: Sequence[Array], rtk_s: float) -> Array:
-    """Decisions without RTK (n, 4): time without it [s], gains of the levels along and across since then [m], and the
-    mean speed since then [m/s]."""
+def gains_of(episodes: Sequence[Decisions], rtk_s: float) -> Gains:
+    """The gains of all decisions without RTK, since the last one on RTK."""
     gains = []
-    for rows in episodes:
-        on_rtk = rows[:, SINCE] <= rtk_s
-        last = np.maximum.accumulate(np.where(on_rtk, np.arange(len(rows)), -1))
-        out = ~on_rtk & (last >= 0) & np.isfinite(rows).all(-1)
-        way, now = np.cumsum(rows[:, SPEED]), np.flatnonzero(out)
-        mean = (way[now] - way[last[now]]) / (now - last[now])
-        gains.append(np.column_stack([rows[out, SINCE], rows[out, AT : CT + 1] - rows[last[out], AT : CT + 1], mean]))
-    return np.concatenate(gains)
+    for seen in episodes:
+        on_rtk = seen.since_s <= rtk_s
+        last = np.maximum.accumulate(np.where(on_rtk, np.arange(on_rtk.size), -1))
+        now = np.flatnonzero(~on_rtk & (last >= 0) & seen.finite)
+        way, then = np.cumsum(seen.speed_mps), last[now]
+        mean = (way[now] - way[then]) / (now - then)
+        gains.append(Gains(seen.since_s[now], seen.level_m[now] - seen.level_m[then], mean))
+    return Gains(*(np.concatenate(columns) for columns in zip(*gains, strict=True)))
 
 
-def growth_of(gains: Array) -> tuple[float, Array, Array]:
+def growth_of(gains: Gains) -> tuple[float, Array, Array]:
     """Power p of time, factors (2,) of the medians ``g t^p`` and of the quantiles of nine in ten, along and across [m].
 
     The medians across are those at GROWTH_SPEED_MPS, to whose share of speed the gains are proportional.
@@ -91,16 +133,17 @@ def growth_of(gains: Array) -> tuple[float, Array, Array]:
     upper factors are the largest over the bins.
     """
     edges = np.geomspace(0.25, LONGEST_S, BINS + 1)
-    gains = gains[gains[:, 3] > SLOWEST_MPS]
-    scaled = gains[:, 1:3] / np.column_stack([np.ones(len(gains)), gains[:, 3] / GROWTH_SPEED_MPS])
+    gains = gains.take(gains.speed_mps > SLOWEST_MPS)
+    share = gains.speed_mps / GROWTH_SPEED_MPS
+    scaled = gains.level_m / np.column_stack([np.ones(share.size), share])
     logs, upper = [], []
     for low, high in pairwise(edges):
-        chosen = (gains[:, 0] >= low) & (gains[:, 0] < high)
-        inside = gains[chosen]
-        if len(inside) >= FEWEST:
-            time = float(np.median(inside[:, 0]))
+        chosen = (gains.time_s >= low) & (gains.time_s < high)
+        inside = gains.take(chosen)
+        if inside.time_s.size >= FEWEST:
+            time = float(np.median(inside.time_s))
             logs.append([np.log(time), *np.log(np.maximum(np.median(scaled[chosen], axis=0), 1e-3))])
-            upper.append([time, *np.quantile(inside[:, 1:3], 0.9, axis=0)])
+            upper.append([time, *np.quantile(inside.level_m, 0.9, axis=0)])
     t, medians = np.array(logs)[:, 0], np.array(logs)[:, 1:]
     centred = t - t.mean()
     power = float(np.clip((centred @ (medians - medians.mean(0))).mean() / (centred @ centred), 0.3, 1.0))
@@ -108,30 +151,32 @@ def growth_of(gains: Array) -> tuple[float, Array, Array]:
     return power, np.exp((medians - power * t[:, None]).mean(0)), (top[:, 1:] / top[:, :1] ** power).max(0)
 
 
-def most_satellites(episodes: Sequence[Array], rtk_s: float, link_age_s: float) -> int:
+def most_satellites(episodes: Sequence[Decisions], rtk_s: float, link_age_s: float) -> int:
     """The least number of predicted satellites with RTK in two of five decisions and more, while the link holds."""
-    rows = np.concatenate(episodes)
-    rows = rows[(rows[:, AGE] < link_age_s) & (rows[:, SEEN] >= 0.0)]
+    since, age, satellites = (
+        np.concatenate([getattr(seen, name) for seen in episodes]) for name in ("since_s", "age_s", "satellites")
+    )
+    known = (age < link_age_s) & (satellites >= 0.0)
+    since, satellites = since[known], satellites[known]
     out = [
         count
-        for count in np.unique(rows[:, SEEN])
-        if (rows[:, SEEN] == count).sum() >= FEWEST
-        and (rows[rows[:, SEEN] == count, SINCE] > rtk_s).mean() >= OUT_SHARE
+        for count in np.unique(satellites)
+        if (satellites == count).sum() >= FEWEST and (since[satellites == count] > rtk_s).mean() >= OUT_SHARE
     ]
     return int(max(out, default=-1.0)) + 1
 
 
-def fit_growth(episodes: Sequence[Array], step_s: float) -> dict[str, float]:
+def fit_growth(episodes: Sequence[Decisions], step_s: float) -> dict[str, float]:
     """Figures of GrowthConfig from what :func:`measure_growth` found."""
     shipped = GrowthConfig()
     power, median, upper = growth_of(gains_of(episodes, shipped.rtk_s))
     ahead = max(round(HORIZON_S / step_s), 1)
     steady, risen = [], []
-    for rows in episodes:
-        on_rtk = rows[:, SINCE] <= shipped.rtk_s
-        steady.append(rows[on_rtk, AT : CT + 1])
+    for seen in episodes:
+        on_rtk = seen.since_s <= shipped.rtk_s
+        steady.append(seen.level_m[on_rtk])
         both = on_rtk[:-ahead] & on_rtk[ahead:]
-        risen.append((rows[ahead:, AT : CT + 1] - rows[:-ahead, AT : CT + 1])[both].max(-1))
+        risen.append((seen.level_m[ahead:] - seen.level_m[:-ahead])[both].max(-1))
     reset = np.median(np.concatenate(steady), axis=0)
     return {
         "satellites_needed": most_satellites(episodes, shipped.rtk_s, shipped.link_age_s),

@@ -32,13 +32,6 @@ def is_untuned(chosen: AgentConfig, place: Place) -> bool:
     """Whether an agent has tuned margins, but none for this place; its own figures count as tuned."""
     if chosen.agent != TUNED_AGENT or chosen.figures:
         return False
-    return place.faults != NO_FAULTS or (_base(place.env), place.sky) not in tuned_places()
+    from lanebound.envs.registration import base_of
 
-
-def _base(env: str) -> str:
-    """The base world of an environment; an id of highway-env is its own."""
-    from lanebound.agents.episodes.opening import full_id
-    from lanebound.envs import IDS, make_config
-
-    env_id = full_id(env)
-    return make_config(env_id).base if env_id in IDS else env_id
+    return place.faults != NO_FAULTS or (base_of(place.env), place.sky) not in tuned_places()

@@ -17,24 +17,13 @@ from lanebound.agents.drivers.importing import require_importable
 from lanebound.agents.drivers.origin import elsewhere
 from lanebound.agents.episodes import open_env
 from lanebound.agents.episodes.film import Film
-from lanebound.agents.episodes.opening import naming
+from lanebound.agents.episodes.opening import full_id, naming
 from lanebound.envs.core import DrivingEnv
+from lanebound.envs.ids import Preset, preset_of
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["DrivenEpisodes", "FilmedEpisodes", "expected_s", "strangers", "unfit"]
 
-COST_OF_A_SECOND = {
-    "LaneKeeping-v0": 0.03,
-    "CarFollowing-v0": 0.03,
-    "Highway-v0": 0.5,
-    "Merge-v0": 0.02,
-    "Roundabout-v0": 0.07,
-    "Intersection-v0": 0.12,
-    "Racetrack-v0": 0.02,
-    "UrbanCanyon-v0": 0.05,
-}
-"""Core time for a second of an episode, measured with the nominal agent on a 2.5 GHz core of 2023 [s]."""
-COST_OF_OTHERS = 0.1
 MOST_OPEN = 40  # environments that a worker keeps open; each takes some MB
 LOST_STATUS: dict[Lost, Status] = {"died": "raised", "timeout": "timeout"}
 
@@ -190,4 +179,4 @@ def expected_s(suite: SuiteConfig, envs: Sequence[str]) -> dict[str, float]:
     place = {place.env: place for place in suite.places}
     agent = next(iter(suite.agents))
     allotted = {env: allotted_s(open_env(env, suite.env_overrides(place[env], agent))) for env in envs}
-    return {env: allotted[env] * COST_OF_A_SECOND.get(env, COST_OF_OTHERS) for env in envs}
+    return {env: allotted[env] * (preset_of(full_id(env)) or Preset).CORE_S for env in envs}

@@ -32,8 +32,11 @@ def agents(as_json: AsJson = False) -> None:
 def _tuned() -> str:
     """Environments and skies for which the constant margins were tuned."""
     from lanebound.agents.benchmark.untuned import tuned_places
-    from lanebound.agents.cli.listing import LISTING
+    from lanebound.agents.cli.static import static_table
 
-    names = {line["base"]: line["id"].removeprefix("lanebound/").removesuffix("-v0") for line in LISTING}
+    names = {
+        line["base"]: line["id"].removeprefix("lanebound/").removesuffix("-v0")
+        for line in static_table()["environments"]
+    }
     fitted = ", ".join(f"{names.get(base, base)} under {sky} skies" for base, sky in tuned_places())
     return f"The margins of cautious were tuned for {fitted or 'no place'}; elsewhere they are untuned."

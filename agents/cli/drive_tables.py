@@ -143,7 +143,7 @@ def measures(outcomes: Sequence[Outcome], services: Sequence[str] = ()) -> dict[
 
 def _label(measure: str) -> tuple[str, str]:
     """A measure and its unit: the cost is a weighted sum, its causes are unweighted."""
-    from lanebound.agents.cli.listing import INFO
+    from lanebound.envs.info import INFO
 
     if measure == "cost":
         return WEIGHTED, ""

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from lanebound.agents.cli.static import static_table
 from lanebound.agents.drivers import AGENTS, unknown_agent
 
-__all__ = ["FAULTS", "SKIES", "refuse_early", "refuse_film", "refuse_preset"]
+__all__ = ["refuse_early", "refuse_film", "refuse_preset"]
 
 FILES = (".zip", ".onnx", ".npz", ".csv", ".yaml", ".yml")
-SKIES = ("open", "suburban", "urban", "dense")
-FAULTS = ("none", "nominal", "stress")
 
 
 def refuse_early(
@@ -42,13 +41,19 @@ def refuse_early(
     if sky is not None and sky.endswith(".csv"):
         _require_file("sky", sky, "make it by 'lanebound record-sky'")
     elif sky is not None and not sky.endswith(FILES) and "/" not in sky:
-        _require("sky", sky, SKIES, ", or a file", " (files: .csv of 'lanebound record-sky', .yaml of your own)")
+        _require(
+            "sky",
+            sky,
+            static_table()["skies"],
+            ", or a file",
+            " (files: .csv of 'lanebound record-sky', .yaml of your own)",
+        )
     if changes:
         from lanebound.agents.cli.keys import refuse_keys
 
         refuse_keys("environment", changes)
     if faults is not None:
-        _require("faults", faults, FAULTS)
+        _require("faults", faults, static_table()["faults"])
 
 
 def refuse_film(video: Path | None) -> None:
@@ -75,18 +80,17 @@ def refuse_preset(what: str, folder: str, name: str, called: str | None = None) 
 
 
 def _require_env(name: str) -> None:
-    from lanebound.agents.cli.listing import LISTING
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.core.presets import nearest
 
-    ids = [row["id"].partition("/")[2] for row in LISTING]
+    ids = [row["id"].partition("/")[2] for row in static_table()["environments"]]
     short = name.removeprefix("lanebound/")
     ours = name != short or "-v" not in name
     if ours and ":" not in name and short.partition("-v")[0].lower() not in {i.partition("-v")[0].lower() for i in ids}:
         raise InputError(f"environment '{name}' is unknown: {nearest(short, ids)}")
 
 
-def _require(what: str, name: str, known: tuple[str, ...], also: str = "", how: str = "") -> None:
+def _require(what: str, name: str, known: Sequence[str], also: str = "", how: str = "") -> None:
     from lanebound.integrity.core.errors import ConfigError
     from lanebound.integrity.core.presets import nearest
 

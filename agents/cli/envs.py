@@ -53,10 +53,10 @@ def envs(
 
 def _list(as_json: bool, more: bool) -> None:
     """List our environments, which is fast, and those of plug-ins, which must be opened for it."""
-    from lanebound.agents.cli.listing import LISTING
     from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.static import static_table
 
-    rows = [*LISTING, *_registered()] if more else list(LISTING)
+    rows = static_table()["environments"] + (_registered() if more else [])
     if as_json:
         print_json(rows)
         return
@@ -70,11 +70,11 @@ def _list(as_json: bool, more: bool) -> None:
 
 def _registered() -> list[dict[str, Any]]:
     """The entries of environments from outside."""
-    from lanebound.agents.cli.listing import LISTING
+    from lanebound.agents.cli.static import static_table
     from lanebound.agents.episodes.opening import open_env
     from lanebound.envs import IDS
 
-    known = {row["id"] for row in LISTING}
+    known = {row["id"] for row in static_table()["environments"]}
     return [facts(open_env(env_id)) for env_id in IDS if env_id not in known]
 
 
@@ -108,7 +108,7 @@ def facts(env: DrivingEnv) -> dict[str, Any]:
 def _details(env: DrivingEnv) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from lanebound.agents.cli.listing import INFO
+    from lanebound.envs.info import INFO
 
     return {
         **facts(env),
@@ -126,8 +126,8 @@ def _weights(env: DrivingEnv) -> dict[str, float]:
 
 
 def _show(env: DrivingEnv) -> None:
-    from lanebound.agents.cli.listing import INFO
     from lanebound.agents.cli.output import print_table
+    from lanebound.envs.info import INFO
     from lanebound.integrity.core.config import describe
 
     about, weights = facts(env), _weights(env)

@@ -1,32 +1,14 @@
-"""Keys and bounds of what ``--set`` changes, as a static table: a wrong one is refused before the slow imports.
-
-``python -m lanebound.agents.cli.keys > agents/cli/keys.json`` writes the table from the configuration classes. In it a
-configuration is a mapping of its keys, a value a list of its bounds, and null what has keys of its own.
-"""
+"""Refusal of wrong keys and numbers of ``--set`` before the slow imports, by the static table."""
 
 from __future__ import annotations
 
-import json
-import typing
 from collections.abc import Mapping
 from functools import cache
-from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from pydantic.fields import FieldInfo
+from lanebound.agents.cli.static import static_table
 
-__all__ = ["TABLE", "refuse_keys", "table"]
-
-TABLE = "keys.json"
-ROOTS = {
-    "environment": "lanebound.envs.config:EnvConfig",
-    "suite": "lanebound.agents.benchmark.suite:SuiteConfig",
-    "experiment": "lanebound.agents.learning.experiment:ExperimentConfig",
-}
-NAVIGATOR = "lanebound.integrity.navigators.navigator:NavigatorConfig"
-CHOSEN_BY_KIND = ("navigator",)
-"""Keys of an environment that are those of a chosen kind: only keys that no kind has are refused here."""
+__all__ = ["refuse_keys"]
 
 
 def refuse_keys(root: str, changes: Mapping[str, Any]) -> None:
@@ -34,7 +16,7 @@ def refuse_keys(root: str, changes: Mapping[str, Any]) -> None:
 
     Parameters
     ----------
-    root : a key of ``ROOTS``
+    root : ``environment``, ``suite`` or ``experiment``
     changes : as :func:`~lanebound.agents.cli.options.changes` returns them
 
     Raises
@@ -58,8 +40,14 @@ def _refuse(known: Mapping[str, Any], changes: Mapping[str, Any], path: str) -> 
         inside = known[key]
         if isinstance(inside, Mapping) and isinstance(value, Mapping) and ":" not in str(value.get("kind", "")):
             _refuse(inside, value, dotted)
-        elif isinstance(inside, list):
-            _refuse_number(dict(inside), value, dotted)
+        elif isinstance(inside, str):
+            _refuse_number(_bounds(inside), value, dotted)
+
+
+def _bounds(text: str) -> dict[str, float]:
+    """Bounds of a number by their signs, from ``"gt 0, le 1"``."""
+    pairs = (bound.split(" ") for bound in text.split(", ") if bound)
+    return {sign: float(limit) if "." in limit or "e" in limit else int(limit) for sign, limit in pairs}
 
 
 def _refuse_number(limits: Mapping[str, float], value: Any, dotted: str) -> None:
@@ -80,57 +68,7 @@ def _refuse_number(limits: Mapping[str, float], value: Any, dotted: str) -> None
 
 @cache
 def _known() -> dict[str, Any]:
-    text = resources.files("lanebound.agents.cli").joinpath(TABLE).read_text(encoding="utf-8")
-    tables: dict[str, Any] = json.loads(text)
+    tables = dict(static_table()["keys"])
     for root in ("suite", "experiment"):
-        tables[root]["overrides"] = tables["environment"]
+        tables[root] = {**tables[root], "overrides": tables["environment"]}
     return tables
-
-
-def table() -> dict[str, Any]:
-    """The table, from the configuration classes."""
-    found: dict[str, Any] = {root: _tree(_class(place)) for root, place in ROOTS.items()}
-    found["environment"] |= {key: _tree(_class(NAVIGATOR)) for key in CHOSEN_BY_KIND}
-    return found
-
-
-def _class(place: str) -> Any:
-    from importlib import import_module
-
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
-
-
-def _tree(model: Any) -> dict[str, Any] | None:
-    """Keys of a configuration, or of all kinds of a family; None where any key is allowed."""
-    if model.model_config.get("extra") == "allow":
-        return None
-    family: Any = getattr(model, "family", None)
-    kinds = list(model.all_kinds().values()) if family is model else [model]
-    tree: dict[str, Any] = {}
-    for kind in kinds:
-        for name, field in kind.model_fields.items():
-            here = _leaf(field)
-            if name in tree and tree[name] != here:
-                here = {**tree[name], **here} if isinstance(here, dict) and isinstance(tree[name], dict) else None
-            tree[name] = here
-    return dict(sorted(tree.items()))
-
-
-def _leaf(field: FieldInfo) -> Any:
-    """The keys inside a field, the bounds of a number, or None."""
-    from lanebound.integrity.core.config import Config
-
-    kinds = [field.annotation, *typing.get_args(field.annotation)]
-    plain = not typing.get_args(field.annotation) or type(None) in kinds
-    inside = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Config)]
-    if plain and inside:
-        return _tree(inside[0])
-    if plain and {int, float} & set(kinds):
-        signs = ("gt", "ge", "lt", "le")
-        return [[sign, getattr(item, sign)] for item in field.metadata for sign in signs if hasattr(item, sign)]
-    return None
-
-
-if __name__ == "__main__":
-    print(json.dumps(table(), separators=(",", ":"), sort_keys=True))

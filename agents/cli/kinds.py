@@ -64,10 +64,10 @@ def resolve(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[str,
 
 def _require_no_environment(name: str) -> None:
     """Refuse the name of an environment with a hint to ``lanebound envs``."""
-    from lanebound.agents.cli.listing import LISTING
+    from lanebound.agents.cli.static import static_table
 
     short = name.removeprefix("lanebound/").removesuffix("-v0").lower()
-    for row in LISTING:
+    for row in static_table()["environments"]:
         there = row["id"].removeprefix("lanebound/").removesuffix("-v0")
         if short == there.lower():
             raise ConfigError(f"preset '{name}' is unknown: it is an environment, see 'lanebound envs {there}'")

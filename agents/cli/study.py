@@ -33,11 +33,13 @@ def study(
 
     refuse_preset("study", "studies/", name, "learning_study")
     from lanebound.agents.cli.progress import resumable, with_bar
-    from lanebound.agents.learning.study import load_study, plan, run_learning_study
+    from lanebound.agents.learning.study import load_study, plan, run_learning_study, study_folder
     from lanebound.agents.learning.study_time import study_hours
 
     with resumable(lambda: f"trainings and checkpoints are kept in {out}; run the same command again to resume"):
         chosen = load_study(name, changes(assignments))
+        study_folder(chosen, out).check()
+        typer.echo(f"measuring the speed of {counted(len(chosen.envs), 'environment')}", err=True)
         course = plan(chosen)
         _announce(chosen, course, study_hours(chosen, course) / jobs, jobs, budget)
         found = with_bar("trainings", lambda on_progress: run_learning_study(chosen, out, jobs, budget, on_progress))

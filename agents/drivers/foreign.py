@@ -19,7 +19,7 @@ import numpy as np
 from gymnasium import spaces
 
 from lanebound.agents.drivers.base import Driver, Starts, StatelessDriver, States
-from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs
+from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs, Selection
 from lanebound.agents.drivers.learnt import open_arrays
 from lanebound.agents.drivers.origin import inputs_in, report_elsewhere
 from lanebound.envs.core import DrivingEnv
@@ -153,18 +153,22 @@ def _checkpoint(path: str, env: DrivingEnv) -> Driver:
     trained, shown = model.observation_space, env.observation_space
     if not _alike(model.action_space, env.action_space):
         raise _unlike(path, "actions", model.action_space, env.action_space)
-    inputs = inputs_in(Path(path))
-    if inputs is None:
-        flattened = isinstance(trained, spaces.Box) and isinstance(shown, spaces.Dict)
-        here = spaces.flatten_space(shown) if flattened else shown
-        if not _alike(trained, here):
-            raise _unlike(path, "observations", trained, here)
-        inputs = PolicyInputs.of(env.config.observation)
-    selection = inputs.select_from(env.config.observation, f"agent {path}")
+    config = env.config.observation
+    inputs = inputs_in(Path(path)) or PolicyInputs.of(config)
+    selection = inputs.select_from(config, f"agent {path}")
+    if not _alike(trained, here := _as_taken(trained, selection)):
+        raise _unlike(path, "observations", trained, here)
     if selection.is_whole and type(trained) is type(shown):
         driver: Driver = model
         return driver
     return SelectingDriver(model, selection.grouped if isinstance(trained, spaces.Dict) else selection.flat)
+
+
+def _as_taken(trained: spaces.Space[Any], selection: Selection) -> spaces.Space[Any]:
+    """The observations that a selection gives, in the form that a policy takes: groups, or one vector."""
+    sizes = selection.sizes
+    groups = spaces.Dict({group: spaces.Box(-np.inf, np.inf, (size,), np.float32) for group, size in sizes.items()})
+    return groups if isinstance(trained, spaces.Dict) else spaces.flatten_space(groups)
 
 
 def _unlike(path: str, what: str, trained: spaces.Space[Any], here: spaces.Space[Any]) -> InputError:
@@ -375,9 +379,9 @@ def _require_taking(make: Callable[..., Any], name: str, env: DrivingEnv) -> Non
     try:
         found.bind(env)
     except TypeError as error:
-        told = f"{name.rpartition(':')[2]}{found} ({error})"
+        taken = f"{name.rpartition(':')[2]}{found} ({error})"
         raise InputError(
-            f"agent '{name}' must be callable with the environment, got {told}: give it one argument"
+            f"agent '{name}' must be callable with the environment, got {taken}: give it one argument"
         ) from None
 
 

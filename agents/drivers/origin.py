@@ -1,6 +1,6 @@
-"""What a policy's file holds of its training: the experiment and the names of its observation entries.
+"""What a policy's file holds of its training: the experiment, or the environment, and its observation entries.
 
-A policy in another environment than that of its training is reported.
+A policy in another environment than that of its training is reported, and one that does not name it.
 """
 
 from __future__ import annotations
@@ -14,14 +14,19 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 
 from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs
-from lanebound.envs import IDS, make_config
 from lanebound.envs.observation import ObservationConfig
+from lanebound.envs.registration import base_of
 from lanebound.integrity.core.accel import LOGGER
 
-__all__ = ["EXPERIMENT", "add_text", "elsewhere", "experiment_in", "inputs_in", "name_inputs", "report_elsewhere"]
+__all__ = [
+    "EXPERIMENT", "add_text", "elsewhere", "environment_in", "experiment_in", "inputs_in", "name_inputs",
+    "report_elsewhere",
+]  # fmt: skip
 
 EXPERIMENT = "lanebound.experiment"
 """Name of the experiment as JSON: a member of a checkpoint, metadata of an ONNX file, an array of an NPZ file."""
+ENVIRONMENT = "lanebound.environment"
+"""Name of the environment's id in a checkpoint without an experiment."""
 
 
 def add_text(checkpoint: Path, name: str, text: str) -> None:
@@ -30,16 +35,19 @@ def add_text(checkpoint: Path, name: str, text: str) -> None:
         archive.writestr(name, text)
 
 
-def name_inputs(checkpoint: str | Path, config: ObservationConfig) -> None:
-    """Add the names of the observation entries to a checkpoint, so that it can drive where there are more of them.
+def name_inputs(checkpoint: str | Path, config: ObservationConfig, env_id: str) -> None:
+    """Add the names of the observation entries and the environment to a checkpoint.
 
+    It can then drive where there are more entries, and is reported where it drives in another environment.
     ``lanebound train`` does so; call it after ``model.save`` in a training of your own.
 
     Parameters
     ----------
     config : of the observations in training, ``env.unwrapped.config.observation``
+    env_id : of the environment in training, such as ``lanebound/LaneKeeping-v0``
     """
     add_text(Path(checkpoint), INPUTS, PolicyInputs.of(config).to_json())
+    add_text(Path(checkpoint), ENVIRONMENT, env_id)
 
 
 def experiment_in(path: Path) -> dict[str, Any] | None:
@@ -50,6 +58,16 @@ def experiment_in(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError, LookupError, BadZipFile):
         return None  # reported where the policy is loaded
     return found if isinstance(found, dict) else None
+
+
+def environment_in(path: Path) -> str:
+    """The id of the environment in which a file's policy was learnt; "" where the file does not name it."""
+    if experiment := experiment_in(path):
+        return str(experiment.get("env", ""))
+    try:
+        return _text_in(path, ENVIRONMENT) or ""
+    except (OSError, ValueError, LookupError, BadZipFile):
+        return ""  # reported where the policy is loaded
 
 
 def inputs_in(checkpoint: Path) -> PolicyInputs | None:
@@ -81,10 +99,11 @@ def _text_in(path: Path, name: str) -> str | None:
 
 
 def elsewhere(name: str, base: str) -> str:
-    """A warning where the policy of a file was learnt in another world than ``base``; else ""."""
-    experiment = experiment_in(Path(name)) or {}
-    env = str(experiment.get("env", ""))
-    if not env or _base(env) == base:
+    """A warning where the policy of a file was learnt in another world than ``base``, or names none; else ""."""
+    env = environment_in(Path(name))
+    if not env:
+        return f"policy {name} does not say where it was learnt and drives {base} here"
+    if base_of(env) == base:
         return ""
     return f"policy {name} was learnt in {env} and drives {base} here: its results say nothing of what it learnt"
 
@@ -94,9 +113,3 @@ def report_elsewhere(name: str, base: str) -> None:
     """Log :func:`elsewhere`, once for each policy and world."""
     if warning := elsewhere(name, base):
         LOGGER.warning("lanebound: %s", warning)
-
-
-def _base(env: str) -> str:
-    """The world of an id; an id of highway-env is its own."""
-    env_id = f"lanebound/{env.removeprefix('lanebound/')}"
-    return make_config(env_id).base if env_id in IDS else env

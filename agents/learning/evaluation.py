@@ -20,7 +20,7 @@ from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
 from lanebound.agents.checkpointing.folder import ResultFolder
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.foreign import load_checkpoint, require_foreign
-from lanebound.agents.drivers.origin import experiment_in
+from lanebound.agents.drivers.origin import environment_in, experiment_in
 from lanebound.agents.episodes import open_env
 from lanebound.agents.learning.algorithms import CLASSES
 from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
@@ -112,6 +112,7 @@ def trained(
         require_foreign(str(source))
         found = experiment_in(source)
         if found is None:
+            env = env or environment_in(source) or None
             if env is None:
                 raise InputError(f"{source} must say where it was learnt, but holds no experiment: add --env ID")
             kind = type(load_checkpoint(source)).__name__

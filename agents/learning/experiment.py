@@ -179,7 +179,10 @@ def _require_flat(path: str, observation: Any) -> None:
     """Raise ConfigError for observations that are not flat."""
     form = observation.get("form", "flat") if isinstance(observation, Mapping) else "flat"
     if form != "flat":
-        raise ConfigError(f"{path}.form must be flat where policies are learnt, got {form!r}: leave it out")
+        raise ConfigError(
+            f"{path}.form must be flat where policies are learnt, got {form!r}: leave it out; checkpoints of either "
+            "form can be evaluated"
+        )
 
 
 def load_experiment(name: str, overrides: Mapping[str, Any] | None = None) -> ExperimentConfig:

@@ -163,6 +163,11 @@ def _require_plain(
         raise InputError(
             f"a policy to export must be of PPO, A2C or SAC, got {kind}: drive with its checkpoint instead"
         )
+    if isinstance(model.observation_space, spaces.Dict):
+        raise InputError(
+            "a policy to export must take flat observations, got one that takes their groups "
+            f"({', '.join(model.observation_space)}): learn it with observation.form=flat, or drive with its checkpoint"
+        )
     if experiment.shield is not Shield.NONE:
         raise InputError(
             f"a policy to export must stand alone, got one under the filter {experiment.shield}: "

@@ -15,7 +15,7 @@ __all__ = ["VecShielded"]
 
 
 class _Given:
-    """A driver that does what it was told last."""
+    """A driver whose action is the one that was set last."""
 
     def __init__(self) -> None:
         self.action: Any = None

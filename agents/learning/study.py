@@ -40,7 +40,7 @@ from lanebound.integrity.core.errors import ConfigError
 
 __all__ = [
     "BESIDE", "ArmConfig", "Course", "LearningStudyConfig", "Training", "beside_suite", "judged", "load_study",
-    "plan", "run_learning_study",
+    "plan", "run_learning_study", "study_folder",
 ]  # fmt: skip
 
 FOLDER = "studies/"
@@ -205,6 +205,11 @@ def _accelerates(study: LearningStudyConfig, env: str) -> bool:
     return isinstance(space, spaces.Box) and space.shape == (2,)
 
 
+def study_folder(study: LearningStudyConfig, out: Path) -> ResultFolder:
+    """The folder of a study's results; its ``check`` refuses foreign files and other work, before any time is spent."""
+    return ResultFolder(out, "learning study", study.to_dict(), code_digest(*PACKAGES))
+
+
 def run_learning_study(
     study: LearningStudyConfig,
     out: Path,
@@ -231,7 +236,7 @@ def run_learning_study(
     """
     begun = time.monotonic()
     course = plan(study)
-    ResultFolder(out, "learning study", study.to_dict(), code_digest(*PACKAGES)).claim()
+    study_folder(study, out).claim()
     by_name = {one.name: one for one in course.trainings}
 
     def left_h() -> float | None:

@@ -247,7 +247,7 @@ def _keep(experiment: ExperimentConfig, model: BaseAlgorithm, out: Path, best: b
         with replace_file(path) as draft:
             model.save(draft)
             add_text(draft, EXPERIMENT, experiment.to_json())
-            name_inputs(draft, observation)
+            name_inputs(draft, observation, experiment.env)
     (out / IMITATION).unlink(missing_ok=True)
 
 

@@ -12,7 +12,8 @@ from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import OnProgress, RunProgress, ignore
 from lanebound.agents.reproduce.study import PACKAGES, check_drive, lookup, rows_against_paper, run_study
 from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
-from lanebound.integrity.positioning.config import DopplerConfig, RtkConfig
+from lanebound.integrity.positioning.motion_config import DopplerConfig
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.sensors.gnss import GnssConfig
 
 __all__ = ["ABLATIONS", "Ablation", "ablation_rows", "run_ablation"]

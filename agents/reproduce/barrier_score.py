@@ -46,7 +46,7 @@ def barrier_m(gap_m: float, ego_mps: float, lead_mps: float, c: BarrierConfig) -
 
 
 def levels_m(env: DrivingEnv, info: Mapping[str, Any]) -> float:
-    """Levels of the gap, inf when one is missing, or unseen [m]: of ego and leader, of him alone where he is sensed."""
+    """Levels of the gap, inf when one is missing, or unseen [m]: of ego and leader, or of a sensed leader alone."""
     assert env.belief_loop is not None
     traffic = env.belief_loop.traffic
     if not traffic.count:
@@ -83,9 +83,9 @@ def exceptions_of(env: DrivingEnv, barrier: BarrierFilter, info: Mapping[str, An
 
 
 def _misplaced_m(env: DrivingEnv) -> tuple[float, float]:
-    """How far the leader is from where he is taken to be; of one that is sensed, seen from the ego.
+    """How far the leader is from its perceived position; of a sensed leader, seen from the ego.
 
-    By the axes of the map, on which the filter finds his lane: a wrong heading of the ego puts him aside.
+    By the axes of the map, on which the filter finds its lane: a wrong heading of the ego moves it aside.
     """
     loop, lead = env.belief_loop, env.world.lead
     assert loop is not None

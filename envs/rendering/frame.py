@@ -148,8 +148,11 @@ class Frame:
         return float(c * east + s * south), float(c * south - s * east)
 
     @property
-    def misleading(self) -> bool:
-        """Whether an error exceeds its protection level while the position is declared available."""
+    def exceeds_level(self) -> bool:
+        """Whether an error exceeds its protection level while the position is declared available.
+
+        Errors beyond the alert limit count too: ``mi`` and ``hmi`` of ``info`` tell the two apart.
+        """
         at, ct = self.error_m
         return self.belief.available and (abs(at) > self.belief.pl_at_m or abs(ct) > self.belief.pl_ct_m)
 

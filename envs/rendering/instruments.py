@@ -130,7 +130,7 @@ def draw_error_box(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -
 
     Each axis has its own scale: the limits always form the same square. Triangles mark what lies beyond the edge.
     """
-    outside = frame.misleading
+    outside = frame.exceeds_level
     head, ink = ("truth is outside PL", theme.crashed) if outside else ("truth in PL", theme.muted)
     canvas.text(at.x, at.y + 4, head if frame.belief.available else "truth", 11, ink, bold=outside)
     plot, b = at.below_head(), frame.belief

@@ -30,6 +30,7 @@ __all__ = ["draw_legend", "draw_panel"]
 MARGIN = 10
 LEAST_STRIP_PX = 56
 FIGURES_PX = 82
+HEAD_GAP_PX = 12
 REASONS = {
     AlertReason.PL_AT: "along-track PL over limit",
     AlertReason.PL_CT: "cross-track PL over limit",
@@ -82,10 +83,20 @@ def draw_panel(canvas: Canvas, frame: Frame, config: RenderingConfig, theme: The
 
 
 def _draw_head(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:
-    width = canvas.text(at.x, at.middle, frame.title, 12, theme.text, bold=True)
+    """The time on the right, the incident left of it, and as much of the title as the rest of the line holds."""
+    right = at.right - HEAD_GAP_PX
+    right -= canvas.text(at.right, at.middle, f"{frame.time_s:.1f} s", 12, theme.muted, anchor="right")
     if frame.incident:
-        canvas.text(at.x + width + 12, at.middle, frame.incident, 12, theme.alert, bold=True)
-    canvas.text(at.right, at.middle, f"{frame.time_s:.1f} s", 12, theme.muted, anchor="right")
+        right -= canvas.text(right, at.middle, frame.incident, 12, theme.alert, anchor="right", bold=True) + HEAD_GAP_PX
+    title = _fitting(canvas, frame.title, right - at.x)
+    canvas.text(at.x, at.middle, title, 12, theme.text, bold=True)
+
+
+def _fitting(canvas: Canvas, title: str, width: float) -> str:
+    """A title, without its namespace where that is too wide, and cut where that is too wide as well."""
+    _, _, short = title.rpartition("/")
+    cut = (f"{short[:n]}…" for n in range(len(short) - 1, -1, -1))
+    return next((words for words in (title, short, *cut) if canvas.width_of(words, 12, bold=True) <= width), "")
 
 
 def _draw_badge(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:

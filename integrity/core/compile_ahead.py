@@ -3,7 +3,7 @@
 Numba compiles under one lock, so that threads do not help. The second process compiles into the cache on disk, where
 this process finds the result. Both take kernels from one list: this process in the order in which it calls them, the
 second one those with the most source code first. A kernel goes back on the list when the second process dies, cannot
-be told of it, or has finished none for ``LIMIT_S``. Without a cache, a second processor or permission to start a
+receive it, or has finished none for ``LIMIT_S``. Without a cache, a second processor or permission to start a
 process this process compiles alone; so do worker processes, of pytest-xdist too, which share the processors already.
 """
 

@@ -24,23 +24,34 @@ PRESET_PACKAGE = "lanebound.configs"
 FEW = 8  # largest number of presets listed in a message
 SIMILAR = 0.6  # ratio of difflib above which words are similar
 FILES = (".yaml", ".yml")
+VERSION = re.compile(r"-v\d+$")
 YAML_FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")  # YAML 1.1 reads 1e-7 as text
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """Advice with the closest known word, or with all known words if none is close.
 
-    Close words share most letters, and have a similar length or contain each other.
+    Close words share most letters, and have a similar length or contain each other. The folder or namespace of a name
+    (``lanebound/``) and its version (``-v0``) do not count, so that the rest of a short name can be close.
 
     >>> nearest("nope", ["np"]), nearest("urbn", ["urban", "dense"])
     ('known are np', "did you mean 'urban'?")
+    >>> nearest("LaneKeping", ["lanebound/LaneKeeping-v0", "lanebound/Merge-v0"])
+    "did you mean 'lanebound/LaneKeeping-v0'?"
     """
-    names, text = sorted(known), str(word)
-    for close in difflib.get_close_matches(text, names, n=3, cutoff=SIMILAR):
+    names, text = sorted(known), _bare(str(word))
+    bare = {name: _bare(name) for name in names}
+    for close in difflib.get_close_matches(text, sorted(set(bare.values())), n=3, cutoff=SIMILAR):
         long, short = max(len(close), len(text)), min(len(close), len(text))
         if long <= 1.5 * short or text in close or close in text:
-            return f"did you mean '{close}'?"
+            alike = difflib.get_close_matches(str(word), [name for name in names if bare[name] == close], 1, cutoff=0.0)
+            return f"did you mean '{alike[0]}'?"
     return f"known are {', '.join(names)}" if names else "none are known"
+
+
+def _bare(name: str) -> str:
+    """A name without what stands before its last slash, and without its version."""
+    return VERSION.sub("", name.rpartition("/")[2]) or name
 
 
 def require_registered(what: str, name: str, registered: Iterable[str]) -> None:

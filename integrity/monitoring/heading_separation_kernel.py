@@ -13,7 +13,8 @@ epoch shows in h as soon as the mean of its courses exceeds the noise of that me
 
 Noise of ``c_k`` does not correlate with the course (least squares), so it adds to the variance of x. One covariance
 serves all k: that of a filter whose courses have, in every epoch, the largest variance of any ``c_k``, times the factor
-of a white error that bounds its correlation in time (:func:`lanebound.integrity.positioning.config.bound_correlation`).
+of a white error that bounds its correlation in time
+(:func:`lanebound.integrity.positioning.correlation.bound_correlation`).
 
 How much of the heading rests on courses with k fades as later courses arrive. Below FADED, k no longer counts.
 """

@@ -37,7 +37,7 @@ from lanebound.integrity.monitoring.family.rejection import global_threshold
 from lanebound.integrity.navigators.context_guard import CONTEXT
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, register_navigator
 from lanebound.integrity.navigators.solution import Solution
-from lanebound.integrity.positioning.config import bound_correlation
+from lanebound.integrity.positioning.correlation import bound_correlation
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.finite import with_finite
 from lanebound.integrity.sensors.gnss import GnssConfig

@@ -16,16 +16,7 @@ from pydantic import Field
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.records import Records, one_record
-from lanebound.integrity.positioning.code_errors_kernel import (
-    CODE_ERRORS,
-    FACTOR,
-    FAST,
-    IONO,
-    OWN,
-    PARTS,
-    TROPO,
-    fill_parts,
-)
+from lanebound.integrity.positioning.code_errors_kernel import CODE_ERRORS, CODE_PARTS, fill_parts
 
 __all__ = ["CodeErrorBudget", "CodeErrorParts"]
 
@@ -112,10 +103,10 @@ class CodeErrorBudget(Config):
     def errors(self, sine: ArrayLike, cn0_dbhz: ArrayLike) -> CodeErrorParts:
         """The parts of codes of one band by the sine of the elevation and C/N0 [dB-Hz], (...,) each."""
         level, cn0 = np.broadcast_arrays(np.asarray(sine, np.float64), np.asarray(cn0_dbhz, np.float64))
-        parts = np.empty((level.size, PARTS))
-        run_rows(fill_parts, level.size, self.rules(), level.ravel(), cn0.ravel(), parts, row_us=ROW_US)
-        parts = parts.reshape(*level.shape, PARTS)
-        return CodeErrorParts(parts[..., FAST], parts[..., OWN], parts[..., [IONO, TROPO]], parts[..., FACTOR])
+        parts = np.empty(level.shape, CODE_PARTS)
+        run_rows(fill_parts, level.size, self.rules(), level.ravel(), cn0.ravel(), parts.reshape(-1), row_us=ROW_US)
+        common = np.stack([parts["iono"], parts["tropo"]], -1)
+        return CodeErrorParts(parts["fast"], parts["own"], common, parts["factor"])
 
 
 @lru_cache(maxsize=64)

@@ -29,12 +29,7 @@ from lanebound.integrity.core.records import Records, record
 
 __all__ = [
     "CODE_ERRORS",
-    "FACTOR",
-    "FAST",
-    "IONO",
-    "OWN",
-    "PARTS",
-    "TROPO",
+    "CODE_PARTS",
     "fill_parts",
     "ionosphere_slant",
     "ionosphere_variance",
@@ -51,9 +46,6 @@ Array = NDArray[np.float64]
 TENTH = math.log(10.0) / 10.0
 EARTH_RATIO = 6378136.3 / (6378136.3 + 350e3)  # Earth's radius over that of the ionospheric shell, DO-229
 LEAST_SINE = 0.05
-FAST, OWN, IONO, TROPO, FACTOR = range(5)  # columns of parts: two variances, two effects per sigma, f
-PARTS = 5
-
 CODE_ERRORS = record(
     noise="white noise of the code of one band, strong and at the zenith [m]",
     multipath="its multipath, zenith [m]",
@@ -71,6 +63,15 @@ CODE_ERRORS = record(
     tropo="zenith troposphere after the model [m]",
 )
 """CodeErrorBudget as kernels take it; 1 sigma each."""
+
+CODE_PARTS = record(
+    fast="variance of noise and multipath [m^2]",
+    own="variance of ephemeris, clock and the ionosphere of the satellite's own [m^2]",
+    iono="effect of the ionosphere that is common to all satellites, 1 sigma [m]",
+    tropo="effect of the zenith troposphere, 1 sigma [m]",
+    factor="variance factor f of elevation and C/N0 [-]",
+)
+"""Parts of the variance of a code."""
 
 
 @jit(borrows=True)
@@ -128,15 +129,14 @@ def troposphere_variance(rules: Any, slant: float) -> float:
 
 
 @jit
-def fill_parts(first: int, last: int, rules: Records, sine: Array, cn0: Array, parts: Array) -> None:
-    """The parts (n, PARTS) of codes of one band without corrections; sine and cn0 (n,)."""
+def fill_parts(first: int, last: int, rules: Records, sine: Array, cn0: Array, parts: Records) -> None:
+    """The CODE_PARTS (n,) of codes of one band without corrections; sine and cn0 (n,)."""
     r = rules[0]
     for k in range(first, last):
-        level = max(sine[k], LEAST_SINE)
+        level, part = max(sine[k], LEAST_SINE), parts[k]
         slant = ionosphere_slant(level)
-        own, common = ionosphere_variance(r, slant, 0.0, 0.0)
-        parts[k, FACTOR] = variance_factor(level, cn0[k], r.knee)
-        parts[k, FAST] = receiver_variance(r, parts[k, FACTOR], 1.0, 1.0)
-        parts[k, OWN] = satellite_variance(r, r.satellite, 0.0) + own
-        parts[k, IONO] = common
-        parts[k, TROPO] = (troposphere_slant(level) - 1.0) * r.tropo
+        own, part.iono = ionosphere_variance(r, slant, 0.0, 0.0)
+        part.factor = variance_factor(level, cn0[k], r.knee)
+        part.fast = receiver_variance(r, part.factor, 1.0, 1.0)
+        part.own = satellite_variance(r, r.satellite, 0.0) + own
+        part.tropo = (troposphere_slant(level) - 1.0) * r.tropo

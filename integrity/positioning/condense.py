@@ -33,9 +33,9 @@ def condense_white(white: Array) -> Condensed:
     """At most n rows in place of m rows of unit variance: (m, n + 1), the right-hand side last."""
     left, size, across = np.linalg.svd(white[:, :-1], full_matrices=False)
     keep = size > NEGLIGIBLE * max(float(size.max(initial=0.0)), np.finfo(np.float64).tiny)
-    told = left[:, keep].T @ white[:, -1]
-    misfit = max(float(white[:, -1] @ white[:, -1] - told @ told), 0.0)
-    return Condensed(size[keep, None] * across[keep], told, misfit, white.shape[0] - int(keep.sum()))
+    rotated = left[:, keep].T @ white[:, -1]
+    misfit = max(float(white[:, -1] @ white[:, -1] - rotated @ rotated), 0.0)
+    return Condensed(size[keep, None] * across[keep], rotated, misfit, white.shape[0] - int(keep.sum()))
 
 
 def gauss_markov_covariance(time_s: Array, sigma: Array, tau_s: float, white: float = 0.0) -> Array:

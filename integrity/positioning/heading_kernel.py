@@ -11,13 +11,14 @@ variance of at least twice that of the wander, overbounds a Gauss-Markov bias of
 at least ``tau`` for ``q = 2 sigma^2 / tau`` (Langel, Crespillo, Joerger, "Bounding sequential estimation errors due to
 Gauss-Markov noise with uncertain parameters", 2019, with an upper limit of the time at infinity): the difference of the
 two covariance functions is positive semidefinite, so the bound holds for every linear filter
-(:func:`lanebound.integrity.positioning.config.overbounding_walk`).
+(:func:`lanebound.integrity.positioning.correlation.overbounding_walk`).
 
 Doppler headings carry errors correlated over a time that is known only within a range. In the filter a white error
 bounds them, of the power that the largest correlation time has at low frequency
-(:func:`lanebound.integrity.positioning.config.bound_correlation`), so that repeating them does not feign precision. The
-same errors move a position that integrates the Doppler velocity. ``n`` and ``w`` are the correlated and the white part
-of a unit error in E and N; their covariances with x show how far heading and position are wrong in the same sense.
+(:func:`lanebound.integrity.positioning.correlation.bound_correlation`), so that repeating them does not feign
+precision. The same errors move a position that integrates the Doppler velocity. ``n`` and ``w`` are the correlated and
+the white part of a unit error in E and N; their covariances with x show how far heading and position are wrong in the
+same sense.
 
 ``a``, the part of ``x`` that an error of the declared axle distance causes, follows the same equations without noise:
 in a turn at rate ``w`` and speed ``V`` the side slip is wrong by ``w / V`` per metre, and so is every course that

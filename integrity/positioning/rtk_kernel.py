@@ -18,7 +18,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.positioning.code_errors_kernel import variance_factor
-from lanebound.integrity.positioning.doubtful_kernel import DOUBT_RULES
+from lanebound.integrity.positioning.reflection_odds_kernel import REFLECTION_RULES
 from lanebound.integrity.positioning.rows_kernel import Rows
 
 __all__ = [
@@ -113,7 +113,7 @@ RTK_RULES = record(
     min_further=("i8", "satellites that a further system must bring"),
     hold_failures=("i8", "rejected epochs in a row after which all integers are released"),
     retry="after a refusal, time until the next attempt [s]",
-    doubt=(DOUBT_RULES, "carriers that may not be direct"),
+    reflections=(REFLECTION_RULES, "carriers that may not be direct"),
     filter=(FILTER_RULES, "float ambiguities"),
 )
 """RtkConfig as kernels take it."""

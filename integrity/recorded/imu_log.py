@@ -143,20 +143,20 @@ def read_solution_track(path: str | Path) -> SolutionTrack:
     InputError
         The file cannot be read, a line before the last is malformed or without velocities, or there is none.
     """
-    lines, doubt, found = Lines(path), "", array("d")
+    lines, refusal, found = Lines(path), "", array("d")
     stop: Stop | None = None
     for text in lines:
-        if doubt:
-            raise InputError(doubt)
+        if refusal:
+            raise InputError(refusal)
         if not text.strip() or text.startswith(COMMENT):
             continue
         try:
             found.extend(_epoch(text.split()))
         except ValueError as error:
-            doubt, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
+            refusal, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
     rows = np.array(found).reshape(-1, 1 + len(TRACK_COLUMNS))
     if not len(rows):
-        raise InputError(f"{path} must hold at least one position, got none: {doubt or 'is it the right file?'}")
+        raise InputError(f"{path} must hold at least one position, got none: {refusal or 'is it the right file?'}")
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     place = ecef_from_geodetic(np.radians(rows[:, 1]), np.radians(rows[:, 2]), rows[:, 3])
     return SolutionTrack(
@@ -183,16 +183,16 @@ def _epoch(words: list[str]) -> list[float]:
 
 def _samples(path: str | Path) -> tuple[Array, Ints, Stop | None]:
     """Numbers of the whole lines (N, 7), the byte after each (N,), and the place where reading stopped."""
-    lines, doubt, found, ends = Lines(path), "", array("d"), array("q")
+    lines, refusal, found, ends = Lines(path), "", array("d"), array("q")
     stop: Stop | None = None
     for text in lines:
-        if doubt:
-            raise InputError(doubt)
+        if refusal:
+            raise InputError(refusal)
         try:
             numbers = _numbers(text)
         except ValueError as error:
             if lines.number > 1:
-                doubt, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
+                refusal, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
             continue
         found.extend(numbers)
         ends.append(lines.read)

@@ -127,18 +127,18 @@ def read_observations(path: str | Path, max_bytes: int = MAX_BYTES) -> Observati
     """
     lines = Lines(path, max_bytes)
     parser = _Parser()
-    doubt: Stop | None = None
+    refusal: Stop | None = None
     for text in lines:
-        if doubt is not None and text.strip():
-            raise InputError(f"{path}, line {doubt.line}: {doubt.reason}")
-        if doubt is None and text.strip():
+        if refusal is not None and text.strip():
+            raise InputError(f"{path}, line {refusal.line}: {refusal.reason}")
+        if refusal is None and text.strip():
             try:
                 parser.take(text)
             except ValueError as error:
-                doubt = Stop(lines.number, str(error))
-    if doubt is None and lines.stop is None and parser.unfinished():
-        doubt = Stop(lines.number, parser.unfinished())
-    stopped = lines.stop or doubt
+                refusal = Stop(lines.number, str(error))
+    if refusal is None and lines.stop is None and parser.unfinished():
+        refusal = Stop(lines.number, parser.unfinished())
+    stopped = lines.stop or refusal
     if parser.header is None:
         raise InputError(f"{path} must have a complete RINEX header, {stopped or 'it has none'}: is it a RINEX 3 file?")
     return parser.result(path, stopped)

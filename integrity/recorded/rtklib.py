@@ -115,22 +115,22 @@ def _cell(words: list[str], index: int, name: str, low: float, high: float) -> f
 
 def _rows(path: str | Path, row: Row, separator: str | None = None) -> tuple[Array, Stop | None]:
     """Numbers of all lines (n, columns) sorted by time, and the place where reading stopped."""
-    lines, doubt, found = Lines(path), "", array("d")
+    lines, refusal, found = Lines(path), "", array("d")
     stop: Stop | None = None
     width = 1
     for text in lines:
-        if doubt:
-            raise InputError(doubt)
+        if refusal:
+            raise InputError(refusal)
         if not text.strip() or text.startswith(COMMENT):
             continue
         try:
             numbers = row(text.split(separator))
         except ValueError as error:
-            doubt, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
+            refusal, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
             continue
         width = max(width, len(numbers))
         found.extend(numbers)
     if not found:
-        raise InputError(f"{path} must hold at least one position, got none: {doubt or 'is it the right file?'}")
+        raise InputError(f"{path} must hold at least one position, got none: {refusal or 'is it the right file?'}")
     table = np.array(found).reshape(-1, width)
     return table[np.argsort(table[:, 0], kind="stable")], stop or lines.stop

@@ -135,15 +135,15 @@ def read_sky_recording(path: str | Path) -> SkyRecording:
     InputError
         The file cannot be read, a line before the last is malformed, or there are no rows.
     """
-    lines, doubt = Lines(path, MOST_BYTES), ""
+    lines, refusal = Lines(path, MOST_BYTES), ""
     stop: Stop | None = None
     length, headed = 0.0, False
     names: list[str] = []
     kinds: list[int] = []
     values: list[list[float]] = []
     for text in lines:
-        if doubt:
-            raise InputError(doubt)
+        if refusal:
+            raise InputError(refusal)
         try:
             if text.startswith("#") or not text.strip():
                 length = _length(text) or length
@@ -155,9 +155,11 @@ def read_sky_recording(path: str | Path) -> SkyRecording:
                 kinds.append(kind)
                 values.append(numbers)
         except ValueError as error:
-            doubt, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
+            refusal, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
     if not names:
-        raise InputError(f"{path} must hold rows under '{HEAD}', has none: {doubt or 'is it of lanebound record-sky?'}")
+        raise InputError(
+            f"{path} must hold rows under '{HEAD}', has none: {refusal or 'is it of lanebound record-sky?'}"
+        )
     table = np.array(values)
     if not length > table[:, 0].max() * (1.0 - 1e-6):
         raise InputError(

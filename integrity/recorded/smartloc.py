@@ -118,23 +118,23 @@ def read_smartloc(path: str | Path, truth: str | Path | None = None) -> SmartLoc
 def _read(path: str | Path, wanted: tuple[str, ...]) -> tuple[dict[str, Array], Stop | None]:
     """Numbers of each kind of line (n, columns), and the place where reading stopped."""
     found = {name: array("d") for name in wanted}
-    lines, doubt = Lines(path), None
+    lines, refusal = Lines(path), None
     for text in lines:
-        if doubt is not None:
-            raise InputError(doubt)
+        if refusal is not None:
+            raise InputError(refusal)
         words = text.split()
         if not words:
             continue
         if words[0] not in found:
-            doubt = f"{lines.where()}: the first word must be one of {', '.join(wanted)}, got {words[0][:40]!r}"
+            refusal = f"{lines.where()}: the first word must be one of {', '.join(wanted)}, got {words[0][:40]!r}"
             stop = Stop(lines.number, f"unknown word {words[0][:40]!r}")
             continue
         try:
             found[words[0]].extend(_numbers(words))
         except ValueError as error:
-            doubt, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
+            refusal, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
     tables = {name: np.array(v).reshape(-1, len(COLUMNS[name])) for name, v in found.items()}
-    return tables, stop if doubt is not None else lines.stop
+    return tables, stop if refusal is not None else lines.stop
 
 
 def _numbers(words: list[str]) -> list[float]:

@@ -83,13 +83,13 @@ def read_smartloc_raw(path: str | Path) -> SmartLocRaw:
     InputError
         The file cannot be read, lacks a column, has a malformed line before the last, or no signal.
     """
-    lines, doubt, columns, width = Lines(path), "", {}, 0
+    lines, refusal, columns, width = Lines(path), "", {}, 0
     stop: Stop | None = None
     values = {name: array("d") for name, _, _ in NUMBERS.values()}
     system, label = [], array("b")
     for text in lines:
-        if doubt:
-            raise InputError(doubt)
+        if refusal:
+            raise InputError(refusal)
         cells = text.split(";")
         if lines.number == 1:
             columns, width = _columns(cells, path), len(cells)
@@ -99,14 +99,14 @@ def read_smartloc_raw(path: str | Path) -> SmartLocRaw:
         try:
             row, letter, seen = _row(cells, columns, width)
         except ValueError as error:
-            doubt, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
+            refusal, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
             continue
         for name, value in row.items():
             values[name].append(value)
         system.append(letter)
         label.append(seen)
     if not system:
-        raise InputError(f"{path} must hold at least one signal, got none: {doubt or 'is it a smartLoc *_raw.csv?'}")
+        raise InputError(f"{path} must hold at least one signal, got none: {refusal or 'is it a smartLoc *_raw.csv?'}")
     tables: dict[str, Any] = {name: np.array(column) for name, column in values.items()}
     whole = {name: tables.pop(name).astype(np.int64) for name in ("week", "satellite", "slot")}
     return SmartLocRaw(

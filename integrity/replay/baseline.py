@@ -23,11 +23,11 @@ from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig
-from lanebound.integrity.positioning.config import FloatConfig, RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.resolve_kernel import FIRST_SHARE
+from lanebound.integrity.positioning.rtk_config import FloatConfig, RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import MOST_AMBIGUITIES
 from lanebound.integrity.positioning.rtk_status import RtkStatus
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations

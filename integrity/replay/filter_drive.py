@@ -1,7 +1,7 @@
 """A recorded drive through the filters on vehicle models: epochs of the sensors that the recording has.
 
 The filter is the one of ``navigator.kind: filter``, with its own kernels, declared errors and levels. What a recording
-lacks is switched off and named. The heading is not told: it is found by the Doppler course of the receiver
+lacks is switched off and named. The heading is not given: it is found by the Doppler course of the receiver
 (comma2k19), or by the turn that fits the reckoned path of the last minute to the code positions (smartLoc).
 """
 

@@ -162,8 +162,8 @@ def _old(track: SolutionTrack, enu: Array) -> Bools:
     if track.gps_time_s.size < 3:
         return np.zeros(track.gps_time_s.size, dtype=np.bool_)
     moved = np.gradient(enu[:, :2], track.gps_time_s, axis=0)
-    told = track.velocity_neu_mps[:, [1, 0]]
-    off = np.linalg.norm(moved - told, axis=-1)
+    reported = track.velocity_neu_mps[:, [1, 0]]
+    off = np.linalg.norm(moved - reported, axis=-1)
     return np.asarray(off > OLD_MPS + OLD_SHARE * np.linalg.norm(moved, axis=-1))
 
 

@@ -35,8 +35,8 @@ from lanebound.integrity.navigators.rtk_reckoning.parameters import (
     separation_thresholds,
 )
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, EpochInputs, Lasting, Measured, Tables
-from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 
 __all__ = ["Entries", "RtkStages", "Signals"]
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.positioning.condense import condense_white, gauss_markov_covariance
-from lanebound.integrity.positioning.config import bound_correlation
+from lanebound.integrity.positioning.correlation import bound_correlation
 from lanebound.integrity.positioning.danish import DanishConfig, variance_factor
 from lanebound.integrity.replay.reckoning import turned
 from lanebound.integrity.replay.sagnac import ranges_and_sights
@@ -48,7 +48,7 @@ class ErrorCourse:
     @classmethod
     def between(cls, shortest_s: float, longest_s: float, step_s: float) -> ErrorCourse:
         """Bound of errors whose correlation time lies in [shortest, longest], in any linear estimate of samples that
-        are ``step_s`` apart (:func:`~lanebound.integrity.positioning.config.bound_correlation`).
+        are ``step_s`` apart (:func:`~lanebound.integrity.positioning.correlation.bound_correlation`).
 
         A code that jumps when the direct ray is lost or regained, as a random telegraph signal, has the spectrum of a
         Gauss-Markov error whose correlation time is half the mean time between jumps. It is covered if that lies in the

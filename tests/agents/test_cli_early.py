@@ -1,6 +1,5 @@
 """Refusals before slow imports: static lists are those of the environments, and nothing heavy is imported."""
 
-import json
 import subprocess
 import sys
 from importlib import resources
@@ -9,17 +8,18 @@ from pathlib import Path
 import pytest
 
 from lanebound.agents.cli import keys
-from lanebound.agents.cli.early import FAULTS, SKIES, refuse_early, refuse_film, refuse_preset
+from lanebound.agents.cli.early import refuse_early, refuse_film, refuse_preset
+from lanebound.agents.cli.static import TABLE
+from lanebound.agents.cli.static_write import made, text_of
 from lanebound.agents.episodes import open_env
-from lanebound.envs.config import FaultLevel
-from lanebound.envs.sky import SKY_LEVELS
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import parse_assignments
 
 
-def test_the_static_lists_are_those_of_the_environments() -> None:
-    assert tuple(SKY_LEVELS) == SKIES
-    assert tuple(level.value for level in FaultLevel) == FAULTS
+def test_the_static_table_is_that_of_the_environments_and_configurations() -> None:
+    """It is stored with one key a line."""
+    stored = resources.files("lanebound.agents.cli").joinpath(TABLE).read_text(encoding="utf-8")
+    assert stored == text_of(made()), "write it anew: python -m lanebound.agents.cli.static_write"
 
 
 @pytest.mark.parametrize(
@@ -65,12 +65,6 @@ def test_presets_that_do_not_exist_are_refused() -> None:
             refuse_preset(what, folder, name + "s")
     with pytest.raises(ConfigError, match=r"^study 'urban_drive' is unknown"):  # another kind of study
         refuse_preset("study", "studies/", "urban_drive", "learning_study")
-
-
-def test_the_static_table_of_keys_is_that_of_the_configurations() -> None:
-    """``python -m lanebound.agents.cli.keys > agents/cli/keys.json`` writes it."""
-    stored = resources.files("lanebound.agents.cli").joinpath(keys.TABLE).read_text(encoding="utf-8")
-    assert json.loads(stored) == json.loads(json.dumps(keys.table()))
 
 
 @pytest.mark.parametrize(

@@ -82,15 +82,15 @@ def test_nobody_else_is(reader, ahead, right, speed, heading_deg):
     assert float(yield_speed(reader, seen(reader, 10.0, ahead, right, speed, heading_deg), C, 10.0)) == np.inf
 
 
-def test_whoever_stands_across_the_route_is_stopped_for_however_long_he_stands(reader):
-    """He stands 30 m ahead and 1 m beside the route, from where the ego's time of arrival says nothing."""
+def test_whoever_stands_across_the_route_is_stopped_for_however_long_it_stands(reader):
+    """30 m ahead and 1 m beside the route, from where the ego's time of arrival says nothing."""
     row = with_junction(reader, seen(reader, 10.0, 30.0, 1.0, 0.0, -90.0), 50.0)
     speed = float(yield_speed(reader, row, C, 10.0))
     assert 30.0 - C.width_m - C.length_m - 2.0 <= stop_m(speed) <= 30.0 - C.length_m
 
 
 def test_whoever_turns_is_followed_along_the_turn(reader):
-    """His heading is between those of the roads: a turn to the right ends across the route, straight on does not."""
+    """Its heading is between those of the roads: a turn to the right ends across the route, straight on does not."""
     aligned, turning = (
         with_junction(reader, seen(reader, 8.0, 15.0, -10.0, 6.0, degrees), 10.0) for degrees in (0.0, 20.0)
     )
@@ -98,15 +98,15 @@ def test_whoever_turns_is_followed_along_the_turn(reader):
     assert float(yield_speed(reader, turning, C, 8.0)) < np.inf
 
 
-def test_uncertain_positions_widen_him(reader):
-    """He stands 3.2 m beside the route and faces away: too near only with a margin of a metre."""
+def test_uncertain_positions_widen_it(reader):
+    """The other vehicle stands 3.2 m beside the route and faces away: too near only with a margin of a metre."""
     row = with_junction(reader, seen(reader, 8.0, 30.0, 3.2, 0.0, 90.0), 50.0)
     assert float(yield_speed(reader, row, C, 8.0)) == np.inf
     assert float(yield_speed(reader, row, C, 8.0, 1.0)) < np.inf
 
 
 def test_within_the_crossing_the_ego_goes_on(reader):
-    """It can no longer stop before him, so it clears the crossing."""
+    """It can no longer stop before it, so it clears the crossing."""
     assert float(yield_speed(reader, seen(reader, 5.0, 3.0, 8.0, 8.0, -90.0), C, 10.0)) == np.inf
 
 

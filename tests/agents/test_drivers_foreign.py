@@ -107,18 +107,23 @@ def test_a_damaged_checkpoint_is_refused_before_anything_drives(meta, tmp_path, 
         require_foreign(str(path))
 
 
+@pytest.mark.parametrize(("policy", "trained"), [("MlpPolicy", 0), ("MultiInputPolicy", 1)])
 @pytest.mark.parametrize("history", [1, 3])
-def test_a_policy_of_flat_observations_drives_where_they_are_dicts(tmp_path, history):
+def test_a_policy_of_one_form_of_observation_drives_where_it_is_the_other(tmp_path, history, policy, trained):
     given = GIVEN | {"observation": {"history": history}}
     flat, groups = open_env("UrbanCanyon", deep_merge(given, FLAT)), open_env("UrbanCanyon", given)
     path = str(tmp_path / "model.zip")
-    PPO("MlpPolicy", flat, policy_kwargs={"net_arch": [8]}, device="cpu").save(path)
+    PPO(policy, (flat, groups)[trained], policy_kwargs={"net_arch": [8]}, device="cpu").save(path)
     drivers, seen = (make_agent(path, flat), make_agent(path, groups)), (flat.reset(seed=5)[0], groups.reset(seed=5)[0])
     for _ in range(4):
         np.testing.assert_array_equal(in_a_row(seen[1], history), seen[0])
         actions = [int(driver.predict(part, deterministic=True)[0]) for driver, part in zip(drivers, seen, strict=True)]
         assert actions[0] == actions[1]
         seen = (flat.step(actions[0])[0], groups.step(actions[0])[0])
+    for form in (FLAT, {}):
+        other = open_env("UrbanCanyon", deep_merge(GIVEN | {"observation": {"vehicles": 3}}, form))
+        with pytest.raises(InputError, match="must be trained on these observations"):
+            make_agent(path, other)
 
 
 class Session:

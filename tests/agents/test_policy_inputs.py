@@ -87,7 +87,7 @@ def test_new_entries_change_no_action_of_a_checkpoint_that_names_its_entries(tmp
     _ppo(path, env, policy)
     with_names = tmp_path / "named.zip"
     with_names.write_bytes(path.read_bytes())
-    name_inputs(with_names, env.config.observation)
+    name_inputs(with_names, env.config.observation, "lanebound/LaneKeeping-v0")
     wanted = drive(env, str(path), 4)
     assert not isinstance(make_agent(str(with_names), env), SelectingDriver)
     register_entry(MIDDLE)

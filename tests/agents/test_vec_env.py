@@ -127,8 +127,8 @@ def test_episodes_are_those_of_vec_monitor() -> None:
 def test_what_it_cannot_do_is_refused() -> None:
     with pytest.raises(InputError, match="SubprocVecEnv"):
         EngineVecEnv("lanebound/Merge-v0", 2)
-    with pytest.raises(InputError, match="env_id 'LaneKeeping' is unknown: did you mean 'lanebound/LaneKeeping-v0'"):
-        EngineVecEnv("LaneKeeping", 2)
+    with pytest.raises(InputError, match="env_id 'LaneKeping' is unknown: did you mean 'lanebound/LaneKeeping-v0'"):
+        EngineVecEnv("LaneKeping", 2)
     with pytest.raises(InputError, match="'costs': did you mean 'cost'"):
         EngineVecEnv("lanebound/Highway-v0", 2, CONFIG, keys=("costs",))
     with pytest.raises(InputError, match=r"pass \['cost'\]"):

@@ -387,9 +387,11 @@ def test_a_key_that_the_world_lacks_is_refused_with_advice(world: dict[str, Any]
 def test_an_unknown_id_is_refused_with_the_nearest() -> None:
     with pytest.raises(InputError, match=r"'lanebound/Higway-v0': did you mean 'lanebound/Highway-v0'"):
         make_config("lanebound/Higway-v0")
+    with pytest.raises(InputError, match=r"'LaneKeping': did you mean 'lanebound/LaneKeeping-v0'"):
+        make_config("LaneKeping")
     with pytest.raises(gym.error.NameNotFound, match="Highway"):
         gym.make("lanebound/Higway-v0")
-    with pytest.raises(ConfigError, match=r"'higway-v0': did you mean 'highway-v0'"):
+    with pytest.raises(ConfigError, match=r"^env_id must be .*'higway-v0': did you mean 'highway-v0'"):
         wrap("higway-v0")
     with pytest.raises(ConfigError, match=r"'LaneKeepngWorld': did you mean 'LaneKeepingWorld'"):
         DrivingEnv({"base": "LaneKeepngWorld"})

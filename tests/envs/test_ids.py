@@ -16,7 +16,7 @@ import pytest
 from highway_env.road.road import RoadNetwork
 
 from lanebound.envs import IDS, DrivingEnv, make_config
-from lanebound.envs.ids import CLASSES, CarFollowing, Highway, LaneKeeping, Preset, UrbanCanyon, id_of
+from lanebound.envs.ids import CLASSES, CarFollowing, Highway, LaneKeeping, Preset, UrbanCanyon, id_of, preset_of
 from lanebound.envs.manual import SECTIONS, markdown
 from lanebound.envs.scene import alert_limits_m
 from lanebound.envs.worlds import networks
@@ -69,9 +69,15 @@ def test_classes_are_what_the_ids_make(kind: type[Preset]) -> None:
     by_id = gym.make(id_of(kind), config=LIGHT)
     assert type(by_id.unwrapped) is kind
     assert by_id.spec is not None
-    assert by_id.spec.entry_point == f"lanebound.envs.ids:{kind.__name__}"
+    assert by_id.spec.entry_point == f"{kind.__module__}:{kind.__name__}"
     assert kind(LIGHT).config == make_config(id_of(kind), LIGHT)
     assert type(pickle.loads(pickle.dumps(made(kind)))) is kind
+
+
+@every_class
+def test_every_class_declares_what_a_second_of_it_costs(kind: type[Preset]) -> None:
+    assert 0.0 < vars(kind)["CORE_S"] <= 1.0
+    assert preset_of(id_of(kind)) is kind
 
 
 def test_ids_are_those_of_the_classes() -> None:

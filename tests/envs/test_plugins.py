@@ -16,9 +16,11 @@ import gymnasium
 import numpy as np
 import pytest
 
+from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.work import expected_s
 from lanebound.agents.episodes import open_env
 from lanebound.envs import IDS, DrivingEnv, make_config
-from lanebound.envs.ids import CONTINUOUS, Preset, register_id, withdraw_id
+from lanebound.envs.ids import CONTINUOUS, LaneKeeping, Preset, register_id, withdraw_id
 from lanebound.envs.observation import Entry, ObservationConfig, describe, entries, register_entry, withdraw_entry
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.env import engines
@@ -173,6 +175,15 @@ def test_the_engine_refuses_roads_that_fork(hairpin: ModuleType) -> None:
             Engine(made, 1)
     finally:
         withdraw_world("ForkWorld")
+
+
+def test_a_benchmark_expects_the_time_that_its_preset_declares(hairpin: ModuleType) -> None:
+    suite = SuiteConfig.load(
+        {"envs": ["Hairpin", "LaneKeeping"], "skies": ["open"], "agents": {"nominal": "nominal"}, "seeds": {"count": 1}}
+    )
+    assert expected_s(suite, suite.envs) == {
+        "Hairpin-v0": 40.0 * hairpin.Hairpin.CORE_S, "LaneKeeping-v0": 60.0 * LaneKeeping.CORE_S
+    }  # fmt: skip
 
 
 def test_its_id_is_one_as_others_until_it_is_withdrawn(hairpin: ModuleType) -> None:

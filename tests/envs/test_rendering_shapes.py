@@ -190,9 +190,9 @@ def test_the_tape_forgets_what_is_old():
 def test_errors_are_belief_less_truth_along_the_true_track():
     shifted = frame(np.pi / 2, position_m=np.array([19.8, 0.3]))
     np.testing.assert_allclose(shifted.error_m, (0.3, 0.2))
-    assert not shifted.misleading
-    assert frame(np.pi / 2, position_m=np.array([19.6, 0.3])).misleading
-    assert not frame(np.pi / 2, position_m=np.array([19.6, 0.3]), available=False).misleading
+    assert not shifted.exceeds_level
+    assert frame(np.pi / 2, position_m=np.array([19.6, 0.3])).exceeds_level
+    assert not frame(np.pi / 2, position_m=np.array([19.6, 0.3]), available=False).exceeds_level
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import copy
 import pickle
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import gymnasium
@@ -15,9 +16,11 @@ import pytest
 from highway_env.road.road import RoadNetwork
 
 from beliefs import believe
+from lanebound.envs import IDS
 from lanebound.envs.pictures import INCIDENTS, Pictures
 from lanebound.envs.records import EgoBelief, Traffic
 from lanebound.envs.rendering import Bodies, EpisodeCost, Frame, RenderingConfig, Satellites, Tape, Viewer
+from lanebound.envs.rendering.canvas import Canvas
 from lanebound.envs.rendering.map_view import camera_of
 from lanebound.envs.rendering.panel import legend_entries
 from lanebound.envs.rendering.roads import RoadDrawing
@@ -283,13 +286,40 @@ def test_what_has_happened_to_the_true_car_is_gathered(happened, shown):
     assert pictures._incident == shown
 
 
-def test_what_has_happened_stands_beside_the_title_in_the_colour_of_alerts(viewer, frame):
+def test_what_has_happened_stands_beside_the_time_in_the_colour_of_alerts(viewer, frame):
     def count(incident: str) -> int:
         head = viewer.render(replace(frame, incident=incident))[:26, 640:].reshape(-1, 3)
         return sum(near(pixel, DARK.alert) for pixel in head)
 
     assert count("") == 0
     assert count("OFF ROAD") > 20
+
+
+@pytest.mark.parametrize("size", [(960, 540), (600, 240)])
+@pytest.mark.parametrize("title", [*sorted(IDS), "elsewhere/AVeryLongNameOfAnEnvironmentThatSomeoneChose-v12"])
+def test_title_incident_and_time_do_not_meet(frame, title, size, monkeypatch):
+    """At the default size, and at the smallest with a panel."""
+    config = RenderingConfig(width_px=size[0], height_px=size[1])
+    drawn, draw = [], Canvas.text
+
+    def text(canvas, x, y, words, size_px, colour, *, anchor="left", bold=False):
+        width = draw(canvas, x, y, words, size_px, colour, anchor=anchor, bold=bold)
+        if x >= config.map_width_px and y < 26:
+            left = x - width if anchor == "right" else x
+            drawn.append((left, left + width, words))
+        return width
+
+    monkeypatch.setattr(Canvas, "text", text)
+    viewer = Viewer(config)
+    for incident in ("", *INCIDENTS.values()):
+        drawn.clear()
+        viewer.render(replace(frame, title=title, incident=incident, time_s=3599.9))
+        rows = sorted(drawn)
+        assert [words for *_, words in rows][1:] == [*filter(None, [incident]), "3599.9 s"]
+        assert all(row[1] + 8 <= following[0] for row, following in pairwise(rows))
+        assert len(rows[0][2]) > 4
+        assert rows[0][0] >= config.map_width_px
+        assert rows[-1][1] <= size[0]
 
 
 def test_a_vehicle_under_a_tree_is_drawn_on_top_of_it(viewer, frame):

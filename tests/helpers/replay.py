@@ -81,18 +81,18 @@ class Replay:
                 command(single, newest(single, seen), self._rng)
                 for single, seen in zip(self.singles, self._seen, strict=True)
             ]
-            told = []
+            taken = []
             for row, single in enumerate(self.singles):
                 self._poses[row].clear()
                 self._seen[row], *rest = single.step(actions[row])
                 assert len(self._poses[row]) == self.engine.frames
                 self._profile[row] = np.roll(self._poses[row], self._turn(row), axis=0).ravel()
-                told.append(rest)
+                taken.append(rest)
             stage, held = self.engine._stage, self.engine._stage.bundle
             stage.bundle = self._bundle  # the starts of episodes fill the profile of the engine's own traffic
             self.engine.step(np.array(actions))
             stage.bundle = held
-            for row, (reward, terminated, truncated, info) in enumerate(told):
+            for row, (reward, terminated, truncated, info) in enumerate(taken):
                 self._compare(row, f"{row} step {n}", (reward, terminated, truncated, info))
                 self.steps += 1
                 if terminated or truncated:

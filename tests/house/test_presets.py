@@ -148,6 +148,10 @@ def test_nearest_takes_any_key():
         ("nonsense-v0", ["intersection-v0", "merge-v1"], "known are intersection-v0, merge-v1"),  # too few letters
         ("LaneKeeping", ["lanebound/LaneKeeping-v0", "x"], "did you mean 'lanebound/LaneKeeping-v0'?"),  # contained
         ("tyo", ["toy", "boy"], "did you mean 'toy'?"),
+        ("LaneKeping", ["lanebound/LaneKeeping-v0", "lanebound/Merge-v0"], "did you mean 'lanebound/LaneKeeping-v0'?"),
+        ("Merg-v0", ["lanebound/LaneKeeping-v0", "lanebound/Merge-v0"], "did you mean 'lanebound/Merge-v0'?"),
+        ("highwy-v1", ["highway-v0", "highway-v1"], "did you mean 'highway-v1'?"),  # of the same version
+        ("lanebound/Nothing-v0", ["lanebound/Merge-v0"], "known are lanebound/Merge-v0"),  # alike but for the name
     ],
 )
 def test_nearest_suggests_only_what_is_near(word, known, advice):

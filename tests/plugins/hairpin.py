@@ -26,6 +26,7 @@ class HairpinWorld(World):
 
 class Hairpin(Preset):
     PRESET: ClassVar[Mapping[str, Any]] = {"base": "HairpinWorld", **CONTINUOUS, "duration_s": 40.0}
+    CORE_S = 0.03  # of a second of an episode
 
 
 register_world(WorldKind("HairpinWorld", HairpinWorld, HairpinWorld.support))

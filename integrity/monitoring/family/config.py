@@ -9,8 +9,8 @@ from pydantic import model_validator
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.monitoring.araim import AraimConfig
 from lanebound.integrity.monitoring.family.error_classes import ErrorClasses
-from lanebound.integrity.positioning.config import DoubtConfig
 from lanebound.integrity.positioning.danish import DanishConfig
+from lanebound.integrity.positioning.rtk_config import ReflectionHypothesesConfig
 
 __all__ = ["FamilyMonitorConfig", "LevelKind", "Rejection", "ShadowedUse", "TestKind", "WeightKind"]
 
@@ -105,8 +105,8 @@ class FamilyMonitorConfig(Config):
         description="P(fault) of a code, for separation [-]; as in the code-only replay",
     )
     constellation_prior: float = Field(1e-4, ge=0, lt=1, description="P(fault) of a system in ARAIM [-]; ADD v3.1")
-    doubt: DoubtConfig | None = Field(
-        None, description="odds of codes by their loss of C/N0: the most doubtful are left out; none: none is doubted"
+    reflections: ReflectionHypothesesConfig | None = Field(
+        None, description="odds of codes by their loss of C/N0: the most doubtful are left out; none: all are used"
     )
     araim: AraimConfig | None = Field(None, description="aviation budgets of ARAIM; none: the risk of the road")
     en_route: bool = Field(False, description="K_H 6.18 of en route to LNAV in place of 6.0; DO-229D J.1")
@@ -144,8 +144,10 @@ class FamilyMonitorConfig(Config):
                 "classes must bound both sides by one normal law each, got paired or one-sided laws, which a variance "
                 "does not bound: fit them with 'lanebound fit-errors --set form=tail --set sides=both'"
             )
-        if self.level is LevelKind.SEPARATION_ODDS and (self.doubt is None or self.doubt.sets < 1):
-            raise ValueError("doubt.sets must be at least 1 where level is 'separation_odds': give the odds of codes")
+        if self.level is LevelKind.SEPARATION_ODDS and (self.reflections is None or self.reflections.sets < 1):
+            raise ValueError(
+                "reflections.sets must be at least 1 where level is 'separation_odds': give the odds of codes"
+            )
         if self.igg3_k1 <= self.igg3_k0:
             raise ValueError(f"igg3_k1 must be > igg3_k0 = {self.igg3_k0}, got {self.igg3_k1}: raise it")
         return self

@@ -9,7 +9,7 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import nearest
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
-from lanebound.integrity.positioning.config import CODE_DOUBT
+from lanebound.integrity.positioning.rtk_config import CODE_REFLECTIONS
 
 __all__ = ["FAMILY", "MonitorKind", "applicable", "monitor_named"]
 
@@ -56,8 +56,9 @@ def _kind(
 RESIDUAL, SEPARATION, FREE, CITY, LAWS, TIME = (
     "residual RAIM", "separation", "no fault model", "rejection", "error laws", "carriers and time",
 )  # fmt: skip
-DOUBTED: dict[str, Any] = {
-    "level": "separation_odds", "test": "separation", "satellite_prior": 1e-5, "doubt": CODE_DOUBT.to_dict(),
+BY_ODDS: dict[str, Any] = {
+    "level": "separation_odds", "test": "separation", "satellite_prior": 1e-5,
+    "reflections": CODE_REFLECTIONS.to_dict(),
 }  # fmt: skip
 ROOT: dict[str, Any] = {"level": "separation_root", "test": "separation"}
 KINDS = (
@@ -100,8 +101,8 @@ KINDS = (
     _kind("huber", CITY, "weights of Huber, then the root level", "Huber 1964", NONE, **ROOT, rejection="huber"),
     _kind("igg3", CITY, "weights of IGG-III, then the root level", "Yang 1994", NONE, **ROOT, rejection="igg3"),
     _kind("odds", CITY, "weak codes left out or fault modes with odds, in sets of up to three", "S2 eq 10-11; S3 V-A",
-          ODDS, **DOUBTED),
-    _kind("odds_fde", CITY, "the same after exclusion by separations", "S2 eq 10-11; S3 V-A", EXCLUDING, **DOUBTED,
+          ODDS, **BY_ODDS),
+    _kind("odds_fde", CITY, "the same after exclusion by separations", "S2 eq 10-11; S3 V-A", EXCLUDING, **BY_ODDS,
           rejection="separation"),
     _kind("separable", CITY, "exclusion only where the fault can be told apart", "S3 V-B1 [70]", EXCLUDING, **ROOT,
           rejection="separable"),

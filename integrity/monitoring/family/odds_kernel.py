@@ -1,7 +1,7 @@
 """Codes that are weak for their elevation as fault modes with odds, by epoch: which are left out, and the levels.
 
-The modes are those of :mod:`~lanebound.integrity.monitoring.doubt_modes_kernel`: single codes with the threshold of
-their test, sets of two and three of them and whole systems with the separation that is observed,
+The modes are those of :mod:`~lanebound.integrity.monitoring.reflection_modes_kernel`: single codes with the threshold
+of their test, sets of two and three of them and whole systems with the separation that is observed,
 ``abs(x - x_A) + K sigma_A``, as no test of the family bounds it.
 """
 
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
-from lanebound.integrity.monitoring.doubt_modes_kernel import add_doubts, keep_likely
 from lanebound.integrity.monitoring.protection_kernel import multi_hypothesis_pl, split_budgets
+from lanebound.integrity.monitoring.reflection_modes_kernel import add_reflection_modes, keep_likely
 from lanebound.integrity.monitoring.separation_kernel import (
     Modes,
     find_modes,
@@ -25,17 +25,17 @@ from lanebound.integrity.monitoring.separation_kernel import (
     set_factors,
     set_priors,
 )
-from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, odds_of
 from lanebound.integrity.positioning.geometry_kernel import SOLVED, capacity, find_geometry, geometry_scratch, solve
+from lanebound.integrity.positioning.reflection_odds_kernel import LARGEST_SET, odds_of
 
-__all__ = ["DoubtedCodes", "OddsTables", "find_odds", "level_codes", "trust_codes"]
+__all__ = ["OddsTables", "WeighedCodes", "find_odds", "level_codes", "trust_codes"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
-class DoubtedCodes(NamedTuple):
+class WeighedCodes(NamedTuple):
     """E epochs of N codes: los (E, N, 3), used (E, N) bool, group (N,), variance (E, N) [m^2], y (E, N) [m], odds
     (E, N) of an error that the variance does not bound [-]."""
 
@@ -48,19 +48,19 @@ class DoubtedCodes(NamedTuple):
 
 
 class OddsTables(NamedTuple):
-    """doubt (1,) of DOUBT_RULES; constellation (MAX_GROUPS,) prior of each system [-]; k_fa (C, K) threshold by the
-    number of modes and by rank, as set_factors takes it; risks (R,) of the plane [-]."""
+    """reflections (1,) of REFLECTION_RULES; constellation (MAX_GROUPS,) prior of each system [-]; k_fa (C, K) threshold
+    by the number of modes and by rank, as set_factors takes it; risks (R,) of the plane [-]."""
 
-    doubt: Records
+    reflections: Records
     constellation: Array
     k_fa: Array
     risks: Array
 
 
 @jit
-def find_odds(first: int, last: int, sine: Array, cn0: Array, prior: float, doubt: Records, odds: Array) -> None:
+def find_odds(first: int, last: int, sine: Array, cn0: Array, prior: float, reflections: Records, odds: Array) -> None:
     """Odds of codes (n,) by the sine of the elevation and C/N0 [dB-Hz], beside the prior of all other faults."""
-    rules = doubt[0]
+    rules = reflections[0]
     for k in range(first, last):
         odds[k] = prior + odds_of(rules, sine[k], cn0[k])
 
@@ -68,22 +68,22 @@ def find_odds(first: int, last: int, sine: Array, cn0: Array, prior: float, doub
 @jit
 def trust_codes(first: int, last: int, used: Bools, group: Ints, odds: Array, tables: OddsTables) -> None:
     """Take codes out of use, the most doubtful first, until the sets of the rest can be monitored.  (E, N)."""
-    doubt = tables.doubt[0]
-    sets = np.empty((doubt.sets, LARGEST_SET), dtype=np.int64)
+    reflections = tables.reflections[0]
+    sets = np.empty((reflections.sets, LARGEST_SET), dtype=np.int64)
     for i in range(first, last):
         present, systems = 0, 0.0
         for s in range(group.shape[0]):
             if used[i, s] and not present >> group[s] & 1:
                 present |= 1 << group[s]
                 systems += tables.constellation[group[s]]
-        keep_likely(used[i], odds[i], systems, doubt, sets)
+        keep_likely(used[i], odds[i], systems, reflections, sets)
 
 
 @jit
-def level_codes(first: int, last: int, codes: DoubtedCodes, tables: OddsTables, levels: Array) -> None:
+def level_codes(first: int, last: int, codes: WeighedCodes, tables: OddsTables, levels: Array) -> None:
     """Levels of East and North (E, R, 2) with half of the risk each; inf where there is none."""
-    doubt, size = tables.doubt[0], codes.used.shape[1]
-    w, subsets = capacity(size), doubt.sets
+    reflections, size = tables.reflections[0], codes.used.shape[1]
+    w, subsets = capacity(size), reflections.sets
     geo, modes, moments = geometry_scratch(size), mode_scratch(size, subsets), moment_scratch(size)
     los, group, odds = np.zeros((w, 3)), np.zeros(w, dtype=np.int64), np.zeros(w)
     variance, bias, y = np.zeros(w), np.zeros(w), np.zeros(w)
@@ -106,7 +106,9 @@ def level_codes(first: int, last: int, codes: DoubtedCodes, tables: OddsTables, 
         set_priors(group, n, count, satellite, tables.constellation, geo.clocks, modes)
         set_factors(n, count, tables.k_fa[count - 1], 0.0, geo.clocks, modes)
         observe(n + 1, count, modes)
-        count, lost, apart = add_doubts(n, count, 1.0, 0.0, odds, group, doubt, sets, geo, moments, modes)
+        count, lost, apart = add_reflection_modes(
+            n, count, 1.0, 0.0, odds, group, reflections, sets, geo, moments, modes
+        )
         split_budgets(tables.risks, 0.5, apart, budgets)
         multi_hypothesis_pl(count, budgets, lost, True, modes, levels[i])
 

@@ -15,7 +15,6 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, UNRESOLVED, detect_and_exclude
-from lanebound.integrity.monitoring.doubt_modes_kernel import add_doubts
 from lanebound.integrity.monitoring.heading_separation_kernel import Courses, courses_of, largest_course
 from lanebound.integrity.monitoring.protection_kernel import (
     closed_form,
@@ -24,6 +23,7 @@ from lanebound.integrity.monitoring.protection_kernel import (
     pair_risk,
     split_budgets,
 )
+from lanebound.integrity.monitoring.reflection_modes_kernel import add_reflection_modes
 from lanebound.integrity.monitoring.separation_kernel import (
     Modes,
     Moments,
@@ -45,7 +45,6 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
 )
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import find_members
 from lanebound.integrity.positioning.codes_kernel import FAULT, FIXED, NO_CORRECTIONS, TOO_FEW
-from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET
 from lanebound.integrity.positioning.geometry_kernel import (
     SOLVED,
     Geometry,
@@ -55,6 +54,7 @@ from lanebound.integrity.positioning.geometry_kernel import (
     solve,
 )
 from lanebound.integrity.positioning.mode_kernel import rtk_usable
+from lanebound.integrity.positioning.reflection_odds_kernel import LARGEST_SET
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import (
     Carriers,
@@ -118,7 +118,7 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
     par, state, measured, work = epoch.parameters[0], epoch.state, epoch.measured, epoch.work
     tables, rules = epoch.tables, par.rtk
     satellites = tables.satellites
-    n, scratch = satellites.shape[0], fixed_scratch(satellites.shape[0], rules.doubt.sets)
+    n, scratch = satellites.shape[0], fixed_scratch(satellites.shape[0], rules.reflections.sets)
     system = np.empty(n, dtype=np.int64)
     rows = Rows(np.empty((n, 3)), system, np.empty(n), np.empty(n), np.empty(n, dtype=np.bool_))
     for s in range(n):
@@ -254,10 +254,10 @@ def levels_of_fix(
                     least = math.sqrt(k_fa.global_chi2[df]) if par.fde.global_first else 0.0
                     factors = k_fa.factor[count - 1 if par.fde.by_tests else df]
                     set_factors(n, count, factors, least, geo.clocks, modes)
-                    if par.rtk.doubt.sets > 0:
-                        count, lost, apart = add_doubts(
-                            n, count, sin_h, cos_h, scratch.odds, group, par.rtk.doubt, scratch.sets, geo, moments,
-                            modes,
+                    if par.rtk.reflections.sets > 0:
+                        count, lost, apart = add_reflection_modes(
+                            n, count, sin_h, cos_h, scratch.odds, group, par.rtk.reflections, scratch.sets, geo,
+                            moments, modes,
                         )  # fmt: skip
                 filled = True
             if form == PUBLISHED:

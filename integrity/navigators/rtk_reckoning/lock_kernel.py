@@ -6,7 +6,7 @@ import numpy as np
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
-from lanebound.integrity.positioning.doubtful_kernel import find_doubts, keep_trusted
+from lanebound.integrity.positioning.reflection_odds_kernel import keep_trusted, update_odds
 from lanebound.integrity.positioning.rtk_kernel import UNUSED, Carriers, leave_out_faded, select
 from lanebound.integrity.positioning.slip_watch_kernel import DopplerMotion, watch_slips
 
@@ -37,9 +37,9 @@ def follow_carriers(first: int, last: int, epoch: Epoch) -> None:
         cn0, used = measured.cn0[v], work.used[v]
         select(los, tracked, cn0, work.quality[v], rules.sin_mask, rules.cn0_min, factor, used)
         leave_out_faded(cn0, tracked, rules, par.dt, factor, used, ambiguities)
-        if rules.doubt.sets > 0:
-            find_doubts(los, cn0, tracked, satellites, rules.doubt, ambiguities)
-            keep_trusted(used, factor, UNUSED, rules.doubt, ambiguities)
+        if rules.reflections.sets > 0:
+            update_odds(los, cn0, tracked, satellites, rules.reflections, ambiguities)
+            keep_trusted(used, factor, UNUSED, rules.reflections, ambiguities)
         for s in range(n):
             variance[s] = factor[s] * rules.sigma_phase**2
         motion = DopplerMotion(par.dt, w.solved and vehicle.initialised, w.velocity, w.q, vehicle.position)

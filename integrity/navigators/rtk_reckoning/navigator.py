@@ -42,9 +42,9 @@ from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import re
 from lanebound.integrity.navigators.rtk_reckoning.stages import OutsideStage, SeparateStage, Stage, StageList
 from lanebound.integrity.navigators.services.stage import ServiceSet
 from lanebound.integrity.navigators.solution import Solution
-from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.drift_watch_kernel import ANCHOR, DRIFT, DriftWatch
 from lanebound.integrity.positioning.float_filter_kernel import FILTER_ROW, MEASURED, SLOT, STATES, Filtered
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY
 from lanebound.integrity.sensors.finite import with_finite
 

@@ -15,11 +15,9 @@ from lanebound.integrity.monitoring.exclusion import fde_parameters, fde_thresho
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
 from lanebound.integrity.navigators.navigator import LevelForm, PlCase, Start
 from lanebound.integrity.navigators.rtk_reckoning import records_kernel as rk
-from lanebound.integrity.positioning.config import (
-    DeadReckoningConfig,
-    DopplerConfig,
-    HeadingConfig,
-    bound_correlation,
+from lanebound.integrity.positioning.correlation import bound_correlation
+from lanebound.integrity.positioning.motion_config import DeadReckoningConfig, DopplerConfig, HeadingConfig
+from lanebound.integrity.positioning.parameters import (
     calibration_parameters,
     drift_parameters,
     mode_parameters,

@@ -12,8 +12,8 @@ from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, Thresholds, detect_and_exclude
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Bools, Epoch
 from lanebound.integrity.positioning.codes_kernel import FIXED, NO_CORRECTIONS, NOT_CONVERGED, RATIO_FAILED
-from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.float_filter_kernel import FilterRow, filter_of
+from lanebound.integrity.positioning.reflection_odds_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.resolve_kernel import FloatSource, add_held, attempt, base_of, resolve
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_code, drop_small_systems, has_atmosphere
@@ -124,7 +124,7 @@ def _resolve(
         carriers.variance[s] = codes.factor[s] * rules.sigma_phase**2 + aged
     rtk.fixes += 1
     fixed.searched = np.count_nonzero(candidate)
-    if rules.doubt.sets == 0:
+    if rules.reflections.sets == 0:
         status, rate = resolve(carriers, candidate, ambiguities, rules, fixed.position, q, own, filtered, rtk.fixes)
         fixed.failure = rate
         return int(status)
@@ -157,12 +157,12 @@ def _confirm(
         if ambiguities[s].held and codes.used[s]:
             member[count], odds[count] = s, ambiguities[s].odds
             count += 1
-    sets = np.full((rules.doubt.sets + count, LARGEST_SET), -1, dtype=np.int64)
-    number, _ = find_sets(odds, count, rules.doubt, sets)
+    sets = np.full((rules.reflections.sets + count, LARGEST_SET), -1, dtype=np.int64)
+    number, _ = find_sets(odds, count, rules.reflections, sets)
     if number < 0:
         return False
     for i in range(count):
-        if odds[i] > rules.doubt.single:
+        if odds[i] > rules.reflections.single:
             sets[number, 0], sets[number, 1], sets[number, 2] = i, -1, -1
             number += 1
     position, q, trial = np.empty(3), np.empty((3, 3)), before.copy()

@@ -10,7 +10,8 @@ beside it. PPP is a code service of a long time constant with precise correction
 float ambiguity of a satellite. Each satellite has its own, and a satellite that was lost converges again by itself. The
 zenith delay is common to all: separation does not bound faults of the past in it.
 
-A code that is weak for its elevation is off with the odds of :mod:`~lanebound.integrity.positioning.doubtful_kernel`.
+A code that is weak for its elevation is off with the odds of
+:mod:`~lanebound.integrity.positioning.reflection_odds_kernel`.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from lanebound.integrity.positioning.code_errors_kernel import (
     troposphere_slant,
     troposphere_variance,
 )
-from lanebound.integrity.positioning.doubtful_kernel import odds_of
+from lanebound.integrity.positioning.reflection_odds_kernel import odds_of
 from lanebound.integrity.positioning.rtk_kernel import UNUSED
 from lanebound.integrity.positioning.smoothing_kernel import slips, smooth
 
@@ -75,10 +76,10 @@ def fill_vehicle(
 ) -> int:  # fmt: skip
     """The ranges of vehicle v; how many are used."""
     count = 0
-    rules, par, doubt, budget = (
+    rules, par, reflections, budget = (
         service.rules[0],
         service.parameters[0],
-        service.parameters[0].rtk.doubt,
+        service.parameters[0].rtk.reflections,
         service.rules[0].errors,
     )
     measured, quality, los = epoch.measured, epoch.work.quality[v], epoch.measured.los[epoch.measured.sight[v]]
@@ -89,10 +90,10 @@ def fill_vehicle(
             hatch.count, hatch.free = 0.0, 0.0
             continue
         sine, cn0 = los[s, 2], measured.cn0[v, s]
-        odds = odds_of(doubt, sine, cn0)
+        odds = odds_of(reflections, sine, cn0)
         code, phase, there, locked = combine(inputs.code[v, s], inputs.phase[v, s], service.share[s])
         noise = budget.phase * math.sqrt(quality[s])
-        locked = locked and not measured.lock_lost[v, s] and odds < doubt.single
+        locked = locked and not measured.lock_lost[v, s] and odds < reflections.single
         white, lasting, of_carrier = 1.0, 1.0, 0.0
         if rules.smoothing > 0.0:
             free = inputs.phase[v, s, 0] - inputs.phase[v, s, 1] if locked and rules.combined else 0.0

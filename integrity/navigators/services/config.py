@@ -13,7 +13,7 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.navigators.services.records_kernel import LEAST_WEIGHT
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
-from lanebound.integrity.positioning.config import CODE_DOUBT, DoubtConfig
+from lanebound.integrity.positioning.rtk_config import CODE_REFLECTIONS, ReflectionHypothesesConfig
 from lanebound.integrity.sky.systems import System
 
 __all__ = ["CodeServiceConfig", "CouplingConfig", "DeclaredBarometerConfig", "ServicesConfig"]
@@ -56,8 +56,8 @@ class CodeServiceConfig(Config):
     constellation_prior: tuple[float, ...] = Field(
         NO_PRIOR, min_length=5, max_length=8, description="fault probability of a whole system, by system [-]"
     )
-    doubt: DoubtConfig = Field(
-        CODE_DOUBT,
+    reflections: ReflectionHypothesesConfig = Field(
+        CODE_REFLECTIONS,
         description="odds that a code is off by more than six sigma, by its loss of C/N0; fitted to L1 codes of "
         "simulated streets (suburban, urban, dense; seed 101)",
     )

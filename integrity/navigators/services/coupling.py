@@ -54,15 +54,16 @@ def coupling_rules(coupling: CouplingConfig, declared: CodeServiceConfig, dt_s: 
 
 
 def coupling_parameters(parameters: Records, cases: Records, rules: Records) -> Records:
-    """PARAMETERS (1,) of a service, with doubt that leaves fewer sets of doubtful codes to no mode.
+    """PARAMETERS (1,) of a service, with rules that leave fewer sets of doubtful codes to no mode.
 
     A fault that no mode covers has a weight in the mean for longer than it lasts: ``memory`` times its probability
     counts, and may be half of the risk (:func:`~.coupling_kernel.fault_bound`).
     """
     own = parameters.copy()
-    own["rtk"]["doubt"]["sets"] = np.where(own["rtk"]["doubt"]["sets"] > 0, MOST_SETS, 0)
+    reflections = own["rtk"]["reflections"]
+    reflections["sets"] = np.where(reflections["sets"] > 0, MOST_SETS, 0)
     least = float(cases["budget"].sum(-1).min())
-    own["rtk"]["doubt"]["limit"] = np.minimum(own["rtk"]["doubt"]["limit"], UNCOVERED * least / rules["memory"])
+    reflections["limit"] = np.minimum(reflections["limit"], UNCOVERED * least / rules["memory"])
     return own
 
 

@@ -64,7 +64,7 @@ class Part(NamedTuple):
 class Coupling(NamedTuple):
     """What lasts of B vehicles, and what is proposed in an epoch.
 
-    rules (1,) of COUPLING_RULES and parameters (1,) of PARAMETERS, whose doubt leaves fewer sets uncovered;
+    rules (1,) of COUPLING_RULES and parameters (1,) of PARAMETERS, whose reflections leave fewer sets uncovered;
     coupled (B,) of COUPLED and extra (B, R) of EXTRA; proposal (B,) of this epoch;
     growth (B,) of GROWTH, starts (B, R) of START and separations (B, W) of it, with after (B,) of COUPLED and
     extra_after (B, R) of EXTRA; by_doppler, separated (B,) whether Doppler had moved the position, and whether

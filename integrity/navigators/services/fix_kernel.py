@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, detect_and_exclude
-from lanebound.integrity.monitoring.doubt_modes_kernel import keep_likely
 from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.monitoring.jump_kernel import bounded, is_suspicious
+from lanebound.integrity.monitoring.reflection_modes_kernel import keep_likely
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
     FixedScratch,
     fixed_scratch,
@@ -46,7 +46,7 @@ def check_ranges(
     Vehicles that have an RTK position are tested only where there is a zenith delay to learn.
     """
     par, tables, learns = service.parameters[0], service.tables, carrier.rules[0].zenith
-    scratch = fixed_scratch(service.allowed.shape[0], par.rtk.doubt.sets)
+    scratch = fixed_scratch(service.allowed.shape[0], par.rtk.reflections.sets)
     position, q = np.empty(3), np.empty((3, 3))
     for v in range(first, last):
         ranges.consistent[v], ranges.few[v] = False, False
@@ -55,7 +55,7 @@ def check_ranges(
             continue
         los = epoch.measured.los[epoch.measured.sight[v]]
         here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
-        if keep_likely(here.used, ranges.odds[v], 0.0, par.rtk.doubt, scratch.sets) < LEAST_ROWS:
+        if keep_likely(here.used, ranges.odds[v], 0.0, par.rtk.reflections, scratch.sets) < LEAST_ROWS:
             ranges.few[v] = True
             continue
         outcome, _, _, _, excluded = detect_and_exclude(
@@ -72,7 +72,7 @@ def find_fix(
 ) -> None:
     """Offer the position of tested ranges where :func:`takes` says so; without a level where nothing moves another."""
     par, rules = service.parameters[0], service.rules[0]
-    scratch = fixed_scratch(service.allowed.shape[0], par.rtk.doubt.sets)
+    scratch = fixed_scratch(service.allowed.shape[0], par.rtk.reflections.sets)
     levels = np.empty((epoch.out.levels.shape[1], 2))
     for v in range(first, last):
         vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.monitoring.doubt_modes_kernel import add_doubts
 from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.monitoring.jump_kernel import bounded, contradicts, is_suspicious
 from lanebound.integrity.monitoring.protection_kernel import pair_risk
+from lanebound.integrity.monitoring.reflection_modes_kernel import add_reflection_modes
 from lanebound.integrity.monitoring.separation_kernel import find_modes, set_priors
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
     FixedScratch,
@@ -56,7 +56,7 @@ def couple_fix(
 ) -> None:  # fmt: skip
     """Offer the position of tested ranges whole or coupled, or couple the ranges, where no service before has."""
     par, rules, how = service.parameters[0], service.rules[0], coupling.rules[0]
-    scratch = fixed_scratch(service.allowed.shape[0], coupling.parameters[0].rtk.doubt.sets)
+    scratch = fixed_scratch(service.allowed.shape[0], coupling.parameters[0].rtk.reflections.sets)
     levels, cases = np.empty((epoch.out.levels.shape[1], 2)), epoch.out.levels.shape[1]
     part = Part(np.empty(3), np.empty(3), np.empty((cases, 2)))
     for v in range(first, last):
@@ -131,9 +131,9 @@ def describe(
     )
     gone = set_priors(scratch.group, used, count, risk.satellite_prior, risk.constellation_prior, geo.clocks, modes)
     apart = pair_risk(count, modes.prior) if risk.multiple else 0.0
-    if par.rtk.doubt.sets > 0:
-        count, gone, apart = add_doubts(
-            used, count, w.sin_h, w.cos_h, scratch.odds, scratch.group, par.rtk.doubt, scratch.sets, geo,
+    if par.rtk.reflections.sets > 0:
+        count, gone, apart = add_reflection_modes(
+            used, count, w.sin_h, w.cos_h, scratch.odds, scratch.group, par.rtk.reflections, scratch.sets, geo,
             scratch.moments, modes,
         )  # fmt: skip
     prior, sigma = np.empty(count), np.empty(count)

@@ -85,7 +85,7 @@ def service_tables(config: RtkReckoningConfig, service: Service, system: NDArray
         more_levels=[
             case.replace(integrity_risk=share_of_risk * case.integrity_risk).to_dict() for case in config.more_levels
         ],
-        positioning={"rtk": {"doubt": declared.doubt.to_dict(), "reference_bias_m": 0.0}},
+        positioning={"rtk": {"reflections": declared.reflections.to_dict(), "reference_bias_m": 0.0}},
     )
     wavelength = np.ones((len(WAVELENGTH_M), 2))
     bands = list(config.gnss.bands)

@@ -26,7 +26,7 @@ from lanebound.integrity.navigators.services.coupling_kernel import cost_of, fau
 from lanebound.integrity.navigators.services.coupling_records_kernel import Coupling, Part
 from lanebound.integrity.navigators.services.records_kernel import ServiceInputs, ServiceRows, ServiceTables
 from lanebound.integrity.positioning.codes_kernel import NO_CORRECTIONS
-from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
+from lanebound.integrity.positioning.reflection_odds_kernel import LARGEST_SET, find_sets
 
 __all__ = ["couple_ranges", "offer_coupled"]
 
@@ -212,8 +212,8 @@ def gain_of(i: int, aided: Aided) -> tuple[float, float]:
 def bound_faults(v: int, epoch: Epoch, service: ServiceTables, coupling: Coupling, aided: Aided, part: Part) -> None:
     """Bounds of faults, lasting errors of codes, and the lever arm of the solution with all ranges, for each case."""
     par, w, n, memory = coupling.parameters[0], epoch.work.vehicles[v], aided.y.shape[0], coupling.rules[0].memory
-    sets = np.zeros((par.rtk.doubt.sets, LARGEST_SET), np.int64)
-    several, gone = find_sets(aided.odds, n, par.rtk.doubt, sets)
+    sets = np.zeros((par.rtk.reflections.sets, LARGEST_SET), np.int64)
+    several, gone = find_sets(aided.odds, n, par.rtk.reflections, sets)
     if several < 0:
         part.extra[:, :] = math.inf
         return

@@ -11,7 +11,7 @@ from lanebound.agents.drivers.horizon import GrowthConfig
 STEP_S = 0.2
 
 
-def made_up(outages: int = 300, g: tuple[float, float] = (0.9, 1.4), p: float = 0.75, seed: int = 1) -> np.ndarray:
+def made_up(outages: int = 300, g: tuple[float, float] = (0.9, 1.4), p: float = 0.75, seed: int = 1) -> fit.Decisions:
     """One episode: outages of 10 s after 5 s on RTK, each with its own factor, of median 1."""
     rng, rows = np.random.default_rng(seed), []
     for _ in range(outages):
@@ -20,7 +20,7 @@ def made_up(outages: int = 300, g: tuple[float, float] = (0.9, 1.4), p: float = 
             rows.append([0.0, 0.2, 0.21, 0.5, 10.0, 20.0])
         for t in STEP_S * np.arange(1, 51):
             rows.append([t, *(0.2 + np.array(g) * factor * t**p + [0.0, 0.01]), 0.5, 10.0, 9.0])
-    return np.array(rows)
+    return fit.Decisions.of(np.array(rows))
 
 
 def test_power_and_factors_of_made_up_outages_are_found() -> None:
@@ -36,20 +36,21 @@ def test_power_and_factors_of_made_up_outages_are_found() -> None:
 
 def test_gains_count_from_the_last_decision_on_rtk_and_need_one() -> None:
     rows = np.array([[0.4, 3.0, 3.0, 0.5, 1.0, 9.0], [0.0, 0.2, 0.3, 0.5, 2.0, 20.0], [0.2, 0.5, 0.8, 0.5, 4.0, 9.0]])
-    np.testing.assert_allclose(fit.gains_of([rows], 0.05), [[0.2, 0.3, 0.5, 4.0]])
+    found = fit.gains_of([fit.Decisions.of(rows)], 0.05)
+    np.testing.assert_allclose(np.column_stack(found), [[0.2, 0.3, 0.5, 4.0]])
 
 
 def test_satellites_count_only_while_the_link_holds_and_the_sky_is_known() -> None:
     rows = np.repeat(
         [[1.0, 2.0, 2.0, 9.0, 8.0, 12.0], [1.0, 2.0, 2.0, 0.5, 8.0, -1.0], [1.0, 2.0, 2.0, 0.5, 8.0, 7.0]], 40, axis=0
     )
-    assert fit.most_satellites([rows], 0.05, 1.5) == 8
+    assert fit.most_satellites([fit.Decisions.of(rows)], 0.05, 1.5) == 8
 
 
 def test_a_drive_gives_every_figure_of_the_law() -> None:
     seen = []
     episodes, step_s = fit.measure_growth(("LaneKeeping",), ("dense",), 1, seen.append)
     assert (len(episodes), step_s, seen[-1].done, seen[-1].of) == (1, STEP_S, 1, 1)
-    assert episodes[0].shape[1] == 6
-    assert (episodes[0][:, fit.SINCE] >= 0.0).all()
+    assert episodes[0].level_m.shape == (episodes[0].since_s.size, 2)
+    assert (episodes[0].since_s >= 0.0).all()
     assert set(fit.fit_growth([made_up()], STEP_S)) <= set(GrowthConfig.model_fields)

@@ -21,7 +21,7 @@ from lanebound.agents.cli import app
 from lanebound.agents.drivers import learnt, make_agent
 from lanebound.agents.drivers.foreign import load_checkpoint
 from lanebound.agents.drivers.inputs import PolicyInputs
-from lanebound.agents.drivers.origin import elsewhere, experiment_in, inputs_in
+from lanebound.agents.drivers.origin import elsewhere, experiment_in, inputs_in, name_inputs
 from lanebound.agents.episodes import open_env
 from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
@@ -168,6 +168,46 @@ def test_a_checkpoint_of_ones_own_is_evaluated(saved: Path, tmp_path: Path) -> N
     assert [(one["agent"], one["status"]) for one in json.loads(told.stdout)["outcomes"]] == [
         ("learnt", "ok"), ("nominal", "ok"),
     ]  # fmt: skip
+
+
+def test_a_checkpoint_of_groups_is_evaluated_and_its_export_refused_with_a_remedy(tmp_path: Path) -> None:
+    """The default form of observation, dict, as users of Stable-Baselines3 train it."""
+    source = tmp_path / "groups.zip"
+    PPO("MultiInputPolicy", open_env("LaneKeeping", STILL), policy_kwargs={"net_arch": [8]}, seed=1).save(source)
+    arguments = ["evaluate", str(source), "--out", str(tmp_path / "out"), "--seeds", "1", "--jobs", "1", "--json"]
+    more = ["--env", "LaneKeeping", "--sky", "open", "--agents", "nominal", "--set", "duration_s=2"]
+    told = CliRunner().invoke(app, [*arguments, *more])
+    assert told.exit_code == 0, told.output
+    assert [one["status"] for one in json.loads(told.stdout)["outcomes"]] == ["ok", "ok"]
+    refusal = r"must take flat observations, got one .* \(ego, .*\): learn it with observation\.form=flat, or drive"
+    for export in (export_onnx, export_arrays):
+        with pytest.raises(InputError, match=refusal):
+            export(source, tmp_path / "net", "LaneKeeping")
+
+
+def test_a_checkpoint_of_ones_own_that_names_no_environment_is_reported(
+    saved: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """And once it names one, it is reported elsewhere alone, and evaluated without --env."""
+    plain, named = (tmp_path / f"{name}.zip" for name in ("plain", "named"))
+    for file in (plain, named):
+        file.write_bytes((saved / "PPO.zip").read_bytes())
+    flat = {"observation": {"form": "flat"}}
+    home, other = open_env("LaneKeeping", flat), open_env("CarFollowing", flat)
+    name_inputs(named, home.config.observation, "lanebound/LaneKeeping-v0")
+    for _ in range(2):
+        make_agent(str(plain), home)
+    assert caplog.messages == [
+        f"lanebound: policy {plain} does not say where it was learnt and drives LaneKeepingWorld here"
+    ]
+    caplog.clear()
+    make_agent(str(named), home)
+    assert caplog.messages == []
+    make_agent(str(named), other)
+    assert [
+        f"{named} was learnt in lanebound/LaneKeeping-v0 and drives CarFollowingWorld" in m for m in caplog.messages
+    ] == [True]
+    assert trained(named)[0].env == "LaneKeeping-v0"
 
 
 def test_policies_know_where_they_were_learnt(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

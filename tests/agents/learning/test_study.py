@@ -106,6 +106,26 @@ def test_the_time_of_a_study_is_that_of_its_decisions(monkeypatch: pytest.Monkey
     assert study_hours(study, plan(study)) == pytest.approx((2 * of_one + len(BESIDE) * of_a_driver) / 3600.0)
 
 
+def test_the_folder_is_refused_before_any_speed_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[str] = []
+
+    def refuses(planned: Any) -> Pace:
+        begun.append(planned.env)
+        raise InputError("measured")
+
+    monkeypatch.setattr(times, "measured", refuses)
+    (tmp_path / "letter.txt").write_text("of other origin")
+    command = ["study", "value_of_integrity", "--out", str(tmp_path)]
+    refused = CliRunner().invoke(app, command)
+    assert refused.exit_code != 0
+    assert "with files of other origin (letter.txt)" in refused.stderr
+    assert begun == []
+    (tmp_path / "letter.txt").unlink()
+    count = len(load_study("value_of_integrity").envs)
+    assert CliRunner().invoke(app, command).stderr.splitlines()[0] == f"measuring the speed of {count} environments"
+    assert len(begun) == 1
+
+
 def test_an_environment_may_have_trainings_of_its_own_kind() -> None:
     seen = {"perception": {"source": "sensor"}}
     study = small(envs=["CarFollowing", "UrbanCanyon"], by_env={"UrbanCanyon": {"steps": 32, "overrides": seen}})

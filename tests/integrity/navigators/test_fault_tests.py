@@ -29,9 +29,9 @@ from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import fixed_scra
 from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters, epoch_tables
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning import geometry_kernel as gk
-from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.reflection_odds_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sky.constellation import SkyConfig
@@ -157,14 +157,14 @@ def test_levels_count_on_the_threshold_of_the_test(name: str, form: LevelForm) -
 
 
 SETS = 60
-DOUBT = {"positioning": {"rtk": {"doubt": {"sets": SETS}}}}
+REFLECTIONS = {"positioning": {"rtk": {"reflections": {"sets": SETS}}}}
 
 
 @pytest.mark.parametrize("form", list(LevelForm))
 @pytest.mark.parametrize("weak", [(), (2,), (2, 7)])
 def test_sets_of_doubtful_carriers_count_with_their_separation(weak: tuple[int, ...], form: LevelForm) -> None:
     """By the plain form: a mode for each satellite, and for each set one of both tails with abs(x - x_A)."""
-    config, case = NavigatorConfig().replace(form=form, **DOUBT), Case.of(3, 12, 2)
+    config, case = NavigatorConfig().replace(form=form, **REFLECTIONS), Case.of(3, 12, 2)
     odds, par = np.full(12, 1e-4), epoch_parameters(config)[0]
     odds[list(weak)] = 0.02
     y, turn = np.random.default_rng(8).normal(size=12), (np.sin(case.heading), np.cos(case.heading))
@@ -175,7 +175,7 @@ def test_sets_of_doubtful_carriers_count_with_their_separation(weak: tuple[int, 
     scratch.group[:12], scratch.accuracy[:12], scratch.odds[:12] = case.group, case.accuracy, odds
     levels_of_fix(12, 0.0, *turn, epoch_tables(config, case.group), par, scratch, out)
     found = np.full((SETS, LARGEST_SET), -1, dtype=np.int64)
-    count, left = find_sets(odds, 12, par["rtk"]["doubt"], found)
+    count, left = find_sets(odds, 12, par["rtk"]["reflections"], found)
     assert (count > 0) == bool(weak)
     removed = np.zeros((count, 12), np.bool_)
     for row, members in zip(removed, found, strict=False):
@@ -349,11 +349,11 @@ def test_a_navigator_drives_with_each_test(name: str) -> None:
     assert not faulty[101].held[0][held]
 
 
-@pytest.mark.parametrize("name", ["default", "doubt"])
+@pytest.mark.parametrize("name", ["default", "reflections"])
 @pytest.mark.parametrize("size", [{"magnitude_rank": 1}, {"magnitude_rank": 20}, {"magnitude_cycles": 1}])
 def test_wrong_integers_are_detected_and_misled_by_no_level(name: str, size: dict[str, Any]) -> None:
     """The integers of the fault are accepted; its residuals or its jump refuse the position, or exclude satellites."""
-    config = CALM.replace(**DOUBT) if name == "doubt" else CALM
+    config = CALM.replace(**REFLECTIONS) if name == "reflections" else CALM
     clean, errors = drive(config, (), 12.0)
     check_bounded(clean, errors)
     held = int(np.flatnonzero(clean[-1].held[0] & (TRACK.system == System.GPS))[0])
@@ -374,7 +374,7 @@ def test_a_burst_of_reflections_misleads_no_level_of_the_doubtful(
     profile: Any, satellites: int, start_s: float
 ) -> None:
     """From the first fix on, or while integers are held."""
-    config = CALM.replace(**DOUBT)
+    config = CALM.replace(**REFLECTIONS)
     fault = Fault(
         kind="nlos_burst", magnitude_m=20.0, satellites=satellites, profile=profile, ramp_s=3.0, start_s=start_s,
         duration_s=8.0,

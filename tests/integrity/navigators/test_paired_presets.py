@@ -13,7 +13,7 @@ from lanebound.integrity.core.config import load_preset
 from lanebound.integrity.core.presets import parse_assignments
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
-from lanebound.integrity.positioning.config import overbounding_walk
+from lanebound.integrity.positioning.correlation import overbounding_walk
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.imu import ImuConfig
 from lanebound.integrity.sky.track import SkyTrack

@@ -13,7 +13,7 @@ from lanebound.integrity.navigators.services import code_kernel
 from lanebound.integrity.navigators.services.fix_kernel import offer
 from lanebound.integrity.positioning.code_errors_kernel import CODE_ERRORS
 from lanebound.integrity.positioning.codes_kernel import FIXED, NO_CORRECTIONS
-from lanebound.integrity.positioning.doubtful_kernel import DOUBT_RULES
+from lanebound.integrity.positioning.reflection_odds_kernel import REFLECTION_RULES
 from lanebound.integrity.sensors.broadcast import obliquity
 
 
@@ -30,10 +30,10 @@ def _variance(declared: float, age: float) -> float:
     """Of a satellite at 30 degrees: code 1 m, satellite 0.5 m, troposphere 0.2 m, growth 0.01 m^2/s."""
     rules = Of(errors=_budget(), smoothing=0.0, combined=False, sin_mask=0.1, cn0_min=30.0, max_age=30.0,
                zenith_max_age=600.0)  # fmt: skip
-    doubt = one_record(
-        DOUBT_RULES, sets=0, horizon=40.0, zenith=45.0, most=0.1, centre=4.0, scale=1.0, single=0.5, limit=0.0
+    reflections = one_record(
+        REFLECTION_RULES, sets=0, horizon=40.0, zenith=45.0, most=0.1, centre=4.0, scale=1.0, single=0.5, limit=0.0
     ).view(np.recarray)[0]
-    parameters = Of(rtk=Of(doubt=doubt), risk=Of(satellite_prior=[1e-5]), dt=0.1,
+    parameters = Of(rtk=Of(reflections=reflections), risk=Of(satellite_prior=[1e-5]), dt=0.1,
                     odometer=Of(still_speed=0.1))  # fmt: skip
     service = Of(rules=[rules], parameters=[parameters], share=np.array([[1.0, 0.0]]), noise=[1.0],
                  allowed=np.array([True]), tables=Of(system=[0]))  # fmt: skip

@@ -7,7 +7,8 @@ import pytest
 from scipy.linalg import toeplitz
 
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.positioning.config import DopplerConfig, bound_correlation
+from lanebound.integrity.positioning.correlation import bound_correlation
+from lanebound.integrity.positioning.motion_config import DopplerConfig
 
 DT = 0.1
 RANGES = [(0.1, 10.0), (0.5, 0.5), (0.05, 1.0), (2.0, 30.0)]

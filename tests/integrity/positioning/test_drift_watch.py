@@ -9,7 +9,7 @@ import pytest
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.positioning.config import DriftWatchConfig, PositioningConfig, drift_parameters
+from lanebound.integrity.positioning.config import PositioningConfig
 from lanebound.integrity.positioning.drift_watch_kernel import (
     ANCHOR,
     DRIFT,
@@ -21,6 +21,8 @@ from lanebound.integrity.positioning.drift_watch_kernel import (
     odometer_variance,
     rates_of,
 )
+from lanebound.integrity.positioning.parameters import drift_parameters
+from lanebound.integrity.positioning.rtk_config import DriftWatchConfig
 
 DT, SPEED = 0.1, 10.0
 RTK_M = 0.01

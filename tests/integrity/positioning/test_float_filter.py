@@ -12,7 +12,6 @@ from scipy.stats import chi2
 
 from lanebound.integrity.navigators.rtk_reckoning.navigator import blank_filters
 from lanebound.integrity.positioning.codes_kernel import FIXED
-from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
 from lanebound.integrity.positioning.float_filter_kernel import (
     FilterRow,
     add_epoch,
@@ -23,7 +22,9 @@ from lanebound.integrity.positioning.float_filter_kernel import (
     follows,
     invert_positive,
 )
+from lanebound.integrity.positioning.parameters import rtk_parameters
 from lanebound.integrity.positioning.resolve_kernel import FloatSource, base_of, float_solution, resolve
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, SATELLITE, Carriers
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from lanebound.integrity.core.angles_kernel import wrap
-from lanebound.integrity.positioning.config import HeadingConfig, calibration_parameters, overbounding_walk
+from lanebound.integrity.positioning.correlation import overbounding_walk
 from lanebound.integrity.positioning.heading_kernel import (
     HEADING,
     TURN,
@@ -18,6 +18,8 @@ from lanebound.integrity.positioning.heading_kernel import (
     predict_heading,
     rest_heading,
 )
+from lanebound.integrity.positioning.motion_config import HeadingConfig
+from lanebound.integrity.positioning.parameters import calibration_parameters
 
 DT_S = 0.1
 ARW = 2.5e-4  # angle random walk [rad/sqrt(s)]

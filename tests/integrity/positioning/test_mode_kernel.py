@@ -3,8 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from lanebound.integrity.positioning.config import ModeConfig, mode_parameters
+from lanebound.integrity.positioning.config import ModeConfig
 from lanebound.integrity.positioning.mode_kernel import doppler_usable, rtk_usable, speed_dilution
+from lanebound.integrity.positioning.parameters import mode_parameters
 
 LIMITS = mode_parameters(ModeConfig())[0]  # S1 table 1
 USABLE = {"solved": True, "v_gnss": 10.0, "v_ss": 10.0, "hdop": 1.0}

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.positioning import odometer_watch_kernel as wk
-from lanebound.integrity.positioning.config import DeadReckoningConfig, watch_parameters
+from lanebound.integrity.positioning.motion_config import DeadReckoningConfig
+from lanebound.integrity.positioning.parameters import watch_parameters
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.imu import ImuConfig, initial_imu, sample_imu
 from lanebound.integrity.sensors.odometer import OdometerConfig, initial_odometer, sample_odometer

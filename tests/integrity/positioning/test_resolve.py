@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, poisson
 
 from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, TOO_FEW
-from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
 from lanebound.integrity.positioning.float_filter_kernel import SLOT, FilterRow
+from lanebound.integrity.positioning.parameters import rtk_parameters
 from lanebound.integrity.positioning.resolve_kernel import FloatSource, base_of, float_solution, resolve, suspect
 from lanebound.integrity.positioning.rows_kernel import Rows
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import (
     AMBIGUITY,
     MOST_AMBIGUITIES,

@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import poisson
 
-from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters, slip_parameters
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
+from lanebound.integrity.positioning.parameters import rtk_parameters, slip_parameters
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, SATELLITE, Carriers
 from lanebound.integrity.positioning.slip_watch_kernel import SLIP_WATCH, DopplerMotion, watch_slips
 from lanebound.integrity.sky.systems import WAVELENGTH_M

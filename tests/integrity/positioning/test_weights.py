@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
+from lanebound.integrity.positioning.parameters import rtk_parameters
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, UNUSED, leave_out_faded, select, weigh
 
 SINE = np.array([1.0, 0.5, 0.5, 0.1, 0.0, 0.5])  # of the elevation: zenith, 30 degrees, ... an empty place

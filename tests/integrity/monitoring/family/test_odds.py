@@ -135,5 +135,5 @@ def test_left_out_codes_are_reported_and_are_no_exclusion() -> None:
 
 
 def test_the_level_needs_odds() -> None:
-    with pytest.raises(ConfigError, match=r"doubt\.sets must be at least 1"):
-        monitor_named("odds").config({"doubt": {"sets": 0}})
+    with pytest.raises(ConfigError, match=r"reflections\.sets must be at least 1"):
+        monitor_named("odds").config({"reflections": {"sets": 0}})

@@ -11,14 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lanebound.integrity.core.records import Records, one_record
-from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
-from lanebound.integrity.positioning.doubtful_kernel import (
-    DOUBT_RULES,
+from lanebound.integrity.positioning.parameters import rtk_parameters
+from lanebound.integrity.positioning.reflection_odds_kernel import (
     LARGEST_SET,
-    find_doubts,
+    REFLECTION_RULES,
     find_sets,
     keep_trusted,
+    update_odds,
 )
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, SATELLITE, UNUSED
 
 LIMIT, MOST = 1e-6, 40
@@ -26,7 +27,15 @@ LIMIT, MOST = 1e-6, 40
 
 def rules(sets: int = MOST, limit: float = LIMIT) -> Records:
     return one_record(
-        DOUBT_RULES, sets=sets, zenith=48.0, horizon=38.0, most=0.1, centre=3.0, scale=0.35, limit=limit, single=1e-4
+        REFLECTION_RULES,
+        sets=sets,
+        zenith=48.0,
+        horizon=38.0,
+        most=0.1,
+        centre=3.0,
+        scale=0.35,
+        limit=limit,
+        single=1e-4,
     )
 
 
@@ -90,11 +99,11 @@ def test_odds_grow_with_the_loss_and_stay_while_integers_are_held() -> None:
     tracked, par = np.array([True, True, True, False]), rules()[0]
     losses = np.array([0.0, 3.0, 8.0, 8.0])
     sky = 38.0 + 10.0 * los[:, 2]
-    find_doubts(los, sky - losses, tracked, satellites, par, ambiguities)
+    update_odds(los, sky - losses, tracked, satellites, par, ambiguities)
     expected = 1e-5 + 0.1 / (1.0 + np.exp((3.0 - losses) / 0.35))
     np.testing.assert_allclose(ambiguities["odds"][:3], expected[:3], rtol=1e-12)
     assert ambiguities["odds"][3] == 0.0
-    find_doubts(los, sky, tracked, satellites, par, ambiguities)
+    update_odds(los, sky, tracked, satellites, par, ambiguities)
     assert ambiguities["odds"][2] == pytest.approx(expected[2])  # held
     assert ambiguities["odds"][1] < 1e-4  # not held: present odds
 
@@ -111,4 +120,4 @@ def test_the_most_doubtful_are_taken_out_of_use_until_few_sets_are_needed() -> N
 
 
 def test_hypotheses_are_off_by_default() -> None:
-    assert rtk_parameters(RtkConfig(), 2, 1e-5)["doubt"]["sets"][0] == 0
+    assert rtk_parameters(RtkConfig(), 2, 1e-5)["reflections"]["sets"][0] == 0

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 
-__all__ = ["DOUBT_RULES", "LARGEST_SET", "find_doubts", "find_sets", "keep_trusted", "odds_of"]
+__all__ = ["LARGEST_SET", "REFLECTION_RULES", "find_sets", "keep_trusted", "odds_of", "update_odds"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,7 +27,7 @@ Bools = NDArray[np.bool_]
 LARGEST_SET = 3
 HALVINGS = 24  # of the odds from which on sets are monitored, beginning with the limit
 
-DOUBT_RULES = record(
+REFLECTION_RULES = record(
     sets=("i8", "sets of two and three satellites that are monitored at most, 0: no hypotheses"),
     zenith="C/N0 of an open sky at the zenith [dB-Hz]",
     horizon="the same at the horizon [dB-Hz]",
@@ -37,7 +37,7 @@ DOUBT_RULES = record(
     limit="largest probability of the sets that are not monitored [-]",
     single="odds from which on a fix is confirmed without the satellite [-]",
 )
-"""DoubtConfig as kernels take it."""
+"""ReflectionHypothesesConfig as kernels take it."""
 
 
 @jit(borrows=True)
@@ -48,7 +48,7 @@ def odds_of(rules: Any, sine: float, cn0: float) -> float:
 
 
 @jit(borrows=True)
-def find_doubts(los: Array, cn0: Array, tracked: Bools, satellites: Records, rules: Any, ambiguities: Records) -> None:
+def update_odds(los: Array, cn0: Array, tracked: Bools, satellites: Records, rules: Any, ambiguities: Records) -> None:
     """Set the odds of the satellites that are tracked; those of held integers only grow."""
     for s in range(tracked.shape[0]):
         if tracked[s]:

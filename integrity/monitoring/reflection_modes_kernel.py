@@ -1,6 +1,6 @@
 """Fault modes of measurements that are doubtful by their odds: which are left out, and the modes of sets of the rest.
 
-The odds of a measurement are those of :mod:`~lanebound.integrity.positioning.doubtful_kernel`. Measurements are
+The odds of a measurement are those of :mod:`~lanebound.integrity.positioning.reflection_odds_kernel`. Measurements are
 independent given their C/N0. Sets of two and three of them are fault modes beside single ones; measurements that would
 need more sets than are monitored are not used.
 """
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.monitoring.separation_kernel import Modes, Moments, add_subset
-from lanebound.integrity.positioning.doubtful_kernel import find_sets
 from lanebound.integrity.positioning.geometry_kernel import Geometry
+from lanebound.integrity.positioning.reflection_odds_kernel import find_sets
 
-__all__ = ["add_doubts", "keep_likely"]
+__all__ = ["add_reflection_modes", "keep_likely"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -26,11 +26,11 @@ Bools = NDArray[np.bool_]
 
 
 @jit
-def keep_likely(used: Bools, odds: Array, systems: float, doubt: Any, sets: Ints) -> int:
+def keep_likely(used: Bools, odds: Array, systems: float, reflections: Any, sets: Ints) -> int:
     """Take satellites out of use, the most doubtful first, until few enough sets remain to be monitored, and until
     such a fault beside that of a system, whose priors have the sum ``systems``, is less likely than the limit.
 
-    Returns how many remain. used, odds (S,); doubt of DOUBT_RULES; sets (D, LARGEST_SET) is scratch.
+    Returns how many remain. used, odds (S,); reflections of REFLECTION_RULES; sets (D, LARGEST_SET) is scratch.
     """
     member, own, n, total = np.empty(used.shape[0], dtype=np.int64), np.empty(used.shape[0]), 0, 0.0
     for s in range(used.shape[0]):
@@ -38,7 +38,7 @@ def keep_likely(used: Bools, odds: Array, systems: float, doubt: Any, sets: Ints
             member[n], own[n] = s, odds[s]
             total += odds[s]
             n += 1
-    while n > 0 and (systems * total > doubt.limit or find_sets(own, n, doubt, sets)[0] < 0):
+    while n > 0 and (systems * total > reflections.limit or find_sets(own, n, reflections, sets)[0] < 0):
         worst = 0
         for i in range(1, n):
             if own[i] > own[worst]:
@@ -51,9 +51,9 @@ def keep_likely(used: Bools, odds: Array, systems: float, doubt: Any, sets: Ints
 
 
 @jit
-def add_doubts(
-    n: int, count: int, sin_h: float, cos_h: float, odds: Array, group: Ints, doubt: Any, sets: Ints, geo: Geometry,
-    moments: Moments, modes: Modes,
+def add_reflection_modes(
+    n: int, count: int, sin_h: float, cos_h: float, odds: Array, group: Ints, reflections: Any, sets: Ints,
+    geo: Geometry, moments: Moments, modes: Modes,
 ) -> tuple[int, float, float]:  # fmt: skip
     """Give the modes of n satellites their odds, and add a mode for each set of doubtful ones.
 
@@ -71,7 +71,7 @@ def add_doubts(
             modes.prior[k], modes.weight[k] = odds[k - 1], odds[k - 1] if solved else 0.0
             modes.log_prior[k] = math.log(odds[k - 1]) if solved else -np.inf
         lost += modes.prior[k] if not modes.sigma[0, k] < np.inf else 0.0
-    found, apart = find_sets(odds, n, doubt, sets)
+    found, apart = find_sets(odds, n, reflections, sets)
     if found < 0:
         return count, lost, 1.0
     for i in range(found):

@@ -1,40 +1,8 @@
-"""The environments as plain data, so that listing them is fast; a test compares it with the environments."""
+"""What the entries of ``info`` mean; the page of :class:`~lanebound.envs.core.DrivingEnv` says more."""
 
 from __future__ import annotations
 
-from typing import Any
-
-__all__ = ["INFO", "LISTING"]
-
-GROUPS = {"ego": 15, "integrity": 44, "road": 43, "traffic": 114}
-STEERED = {"action": "continuous", "action_space": "Box(-1.0, 1.0, (2,), float32)", "policy_hz": 5}
-CHOSEN = {"action": "meta", "action_space": "Discrete(5)", "policy_hz": 2}
-MANY = {**GROUPS, "traffic": 228}  # twelve vehicles instead of six
-SHARED = {"observation": GROUPS, "flat_size": sum(GROUPS.values()), "simulation_hz": 20, "navigation_hz": 10.0}
-
-
-def _line(name: str, base: str, kind: dict[str, Any], sky: str = "urban", **other: Any) -> dict[str, Any]:
-    return {"id": f"lanebound/{name}", "base": base, **kind, **SHARED, "sky": sky, "cost_limit": 10.0, **other}
-
-
-LISTING: tuple[dict[str, Any], ...] = (
-    _line("LaneKeeping-v0", "LaneKeepingWorld", STEERED, cost_limit=15.0),
-    _line("CarFollowing-v0", "CarFollowingWorld", STEERED, cost_limit=15.0),
-    _line("Highway-v0", "highway-v0", CHOSEN, "suburban"),
-    _line("Merge-v0", "merge-v1", CHOSEN, "suburban", cost_limit=0.7),
-    _line("Roundabout-v0", "roundabout-v1", CHOSEN, cost_limit=5.0),
-    _line(
-        "Intersection-v0",
-        "intersection-v2",
-        CHOSEN,
-        action_space="Discrete(3)",
-        cost_limit=6.0,
-        observation=MANY,
-        flat_size=sum(MANY.values()),
-    ),
-    _line("Racetrack-v0", "racetrack-v1", STEERED, action_space="Box(-1.0, 1.0, (1,), float32)"),
-    _line("UrbanCanyon-v0", "UrbanCanyonWorld", CHOSEN, cost_limit=40.0),
-)
+__all__ = ["INFO"]
 
 INFO: dict[str, str] = {
     "cost": "weighted sum of the costs of this step",

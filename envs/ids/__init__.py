@@ -1,0 +1,30 @@
+"""The environments: a class for each id, what it presets, and the registry of ids."""
+
+from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, Roundabout
+from lanebound.envs.ids.preset import CONTINUOUS, META, Preset, has_engine, id_of, refuse_misplaced
+from lanebound.envs.ids.registry import CLASSES, IDS, enter, preset_of, presets, register_id, withdraw_id
+from lanebound.envs.ids.streets import CarFollowing, LaneKeeping, UrbanCanyon
+
+__all__ = [
+    "CLASSES",
+    "CONTINUOUS",
+    "IDS",
+    "META",
+    "CarFollowing",
+    "Highway",
+    "Intersection",
+    "LaneKeeping",
+    "Merge",
+    "Preset",
+    "Racetrack",
+    "Roundabout",
+    "UrbanCanyon",
+    "enter",
+    "has_engine",
+    "id_of",
+    "preset_of",
+    "presets",
+    "refuse_misplaced",
+    "register_id",
+    "withdraw_id",
+]

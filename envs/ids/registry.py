@@ -1,0 +1,83 @@
+"""The ids that Gymnasium knows: ours, and those that plug-ins add."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+
+from lanebound.envs.config import EnvConfig
+from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, Roundabout
+from lanebound.envs.ids.preset import Preset, has_engine, id_of
+from lanebound.envs.ids.streets import CarFollowing, LaneKeeping, UrbanCanyon
+from lanebound.envs.world import world_defaults
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import require_registered
+
+__all__ = ["CLASSES", "IDS", "enter", "preset_of", "presets", "register_id", "withdraw_id"]
+
+CLASSES: tuple[type[Preset], ...] = (
+    LaneKeeping,
+    CarFollowing,
+    Highway,
+    Merge,
+    Roundabout,
+    Intersection,
+    Racetrack,
+    UrbanCanyon,
+)
+
+
+IDS: dict[str, dict[str, Any]] = {}
+"""The presets of all ids that are registered."""
+_registered: list[type[Preset]] = []
+
+
+def presets() -> tuple[type[Preset], ...]:
+    """The classes of all ids; those from outside come last."""
+    return (*CLASSES, *_registered)
+
+
+def preset_of(env_id: str) -> type[Preset] | None:
+    """The class of an id of :func:`presets`; None for another id, such as one of highway-env."""
+    return next((kind for kind in presets() if id_of(kind) == env_id), None)
+
+
+def register_id(kind: type[Preset]) -> str:
+    """Register an id from outside, for single environments and, if its world has engine support, for the engine.
+
+    Raises
+    ------
+    InputError
+        The id is taken.
+    ConfigError
+        The preset names no known world, or has another mistake.
+    """
+    if id_of(kind) in IDS:
+        raise InputError(f"id must not be taken, got {id_of(kind)}: set ID in the class")
+    world_defaults(EnvConfig.build(kind.PRESET).base)
+    _registered.append(kind)
+    enter(kind)
+    return id_of(kind)
+
+
+def withdraw_id(name: str) -> None:
+    """Remove a registered id.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+    """
+    require_registered("id", name, [id_of(kind) for kind in _registered])
+    _registered[:] = [kind for kind in _registered if id_of(kind) != name]
+    del IDS[name], gymnasium.registry[name]
+
+
+def enter(kind: type[Preset]) -> None:
+    """Register an id with Gymnasium; doing so twice changes nothing."""
+    IDS[id_of(kind)] = dict(kind.PRESET)
+    if id_of(kind) not in gymnasium.registry:
+        engine = f"lanebound.envs.vector.env:Vector{kind.__name__}" if has_engine(kind) else None
+        entry = f"{kind.__module__}:{kind.__qualname__}" if kind in CLASSES else kind
+        gymnasium.register(id_of(kind), entry, vector_entry_point=engine, kwargs={"config": {}})
