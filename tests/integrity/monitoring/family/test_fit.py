@@ -66,7 +66,7 @@ def test_what_cannot_be_solved_is_an_outcome() -> None:
     ("changed", "words"),
     [
         ({"y_m": np.full((1, 6), np.nan)}, "y_m must be finite"),
-        ({"sigma_m": np.full((1, 6), -1.0)}, "sigma_m must be > 0"),
+        ({"sigma_m": np.full((1, 6), -1.0)}, "sigma_m must be finite and in"),
         ({"system": np.full(6, 9)}, "system must lie in"),
         ({"los_enu": np.zeros((1, 6, 3))}, "unit vectors"),
     ],
