@@ -12,16 +12,16 @@ import numpy as np
 
 from lanebound.agents.bench.rows import Row
 from lanebound.integrity.core.streams import named_generator
-from lanebound.integrity.monitoring.context.code_fix import CodeFix
+from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig, CodeFix, code_position
 from lanebound.integrity.monitoring.context.monitor import ContextConfig, ContextMonitor
-from lanebound.integrity.positioning.code_solution import CodeFit, solve_ranges
+from lanebound.integrity.positioning.code_solution import solve_ranges
 from lanebound.integrity.positioning.map_matching.generators import DriveEnvironment, generate_map
 from lanebound.integrity.positioning.map_matching.matching import MatcherKind
 
 __all__ = ["measure"]
 
 VEHICLES, SATELLITES, CLOCKS = 10_000, 24, 3
-CODE_M, RATE_MPS, SPEED_MPS = 2.0, 0.1, 10.0
+CODE_M, RATE_MPS, SPEED_MPS, STRONG_DBHZ = 2.0, 0.1, 10.0, 45.0
 
 
 def measure(rounds: int = 5) -> list[Row]:
@@ -46,8 +46,7 @@ def _vehicles_per_second(kind: MatcherKind, rounds: int) -> float:
         truth = start + SPEED_MPS * k * unit, SPEED_MPS * unit
         observed = [_observe(los, value, sigma, rng) for value, sigma in zip(truth, (CODE_M, RATE_MPS), strict=True)]
         begun = time.perf_counter()
-        codes, speeds = (_solve(los, y, sigma) for y, sigma in zip(observed, (CODE_M, RATE_MPS), strict=True))
-        fix = CodeFix(codes, speeds)
+        fix = _solve(los, *observed)
         monitor.step(fix, np.full(VEHICLES, SPEED_MPS))
         if k:  # the first call prepares the cells of the map
             rates.append(VEHICLES / (time.perf_counter() - begun))
@@ -68,5 +67,8 @@ def _observe(los: np.ndarray, value: np.ndarray, sigma: float, rng: np.random.Ge
     return np.asarray(noise - np.einsum("bmi,bi->bm", los[..., :2], value))
 
 
-def _solve(los: np.ndarray, observed: np.ndarray, sigma: float) -> CodeFit:
-    return solve_ranges(los, observed, sigma**2, np.ones(observed.shape, bool), np.arange(SATELLITES) % CLOCKS)
+def _solve(los: np.ndarray, codes: np.ndarray, rates: np.ndarray) -> CodeFix:
+    """Position with the full covariance of codes, and velocity."""
+    used, system = np.ones(codes.shape, bool), np.arange(SATELLITES) % CLOCKS
+    found, plain = code_position(los, codes, np.full(codes.shape, STRONG_DBHZ), used, system, CodeErrorsConfig())
+    return CodeFix(found, solve_ranges(los, rates, RATE_MPS**2, used, np.zeros_like(system)), plain)

@@ -7,7 +7,7 @@ The chosen pair has the largest mean share, over kinds of roads, true maps and m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -78,6 +78,10 @@ def fit(drives: Sequence[MatchedDrives], base: MatchingConfig) -> dict[tuple[flo
     return out
 
 
+def _mean(by_roads: Mapping[str, float]) -> float:
+    return float(np.mean([*by_roads.values()]))
+
+
 def main() -> None:
     """Print the table; see the module."""
     study = ContextStudyConfig()
@@ -89,8 +93,8 @@ def main() -> None:
     ]
     found = fit(drives, study.monitor.matching)
     print("scale_m connection    mean  urban  rural  mixed   [% right links]")
-    for (scale, connection), by_roads in sorted(found.items(), key=lambda item: -np.mean([*item[1].values()])):
-        cells = " ".join(f"{100.0 * share:6.2f}" for share in (np.mean([*by_roads.values()]), *by_roads.values()))
+    for (scale, connection), by_roads in sorted(found.items(), key=lambda item: -_mean(item[1])):
+        cells = " ".join(f"{100.0 * share:6.2f}" for share in (_mean(by_roads), *by_roads.values()))
         print(f"{scale:7g} {connection:10g}  {cells}")
 
 
