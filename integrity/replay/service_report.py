@@ -143,7 +143,7 @@ def _rinex_epochs(folder: Path, names: Sequence[str]) -> tuple[ServiceEpochs, fl
 def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
     """Statistics of a drive as JSON data: errors, levels and shares of the epochs that are judged.
 
-    ``no_level`` and ``modes`` are of all recorded epochs.
+    ``no_level`` and ``modes`` are of all recorded epochs, exceedances of those that have levels.
     """
     epochs, keep = drive.epochs, drive.judged
     there = drive.epoch >= 0
@@ -163,9 +163,11 @@ def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
         "horizontal_of_service": _quantiles(errors[service]) if service.any() else None,
         "available": float(record.available.mean()),
         "alert": float(record.alert.mean()),
-        **{axis: asdict(measure_bounding(record.error(axis), record.pl(axis))) for axis in AXES},
         "caution": CAUTION,
     }
+    level = np.isfinite(record.pl("at") + record.pl("ct"))
+    if level.any():  # without one there is nothing to exceed
+        figures |= {axis: asdict(measure_bounding(record.error(axis)[level], record.pl(axis)[level])) for axis in AXES}
     return found | figures
 
 
