@@ -134,8 +134,10 @@ def _one_mode(axes: Axes, record: Record, axis: Axis, mode: Mode) -> None:
     top = RTK_SCALE_M if mode is Mode.RTK else _scale(record, axis, keep)
     _draw(axes, _minutes(record), record.error(axis), record.pl(axis), keep, mode_colour(mode), "error")
     tidy(axes, ylabel=f"{mode.label}, {axis.upper()} (m)", ylim=(0, top))  # type: ignore[arg-type]
-    above = int((keep & ((record.error(axis) > top) | (record.pl(axis) > top))).sum())
+    none = keep & ~np.isfinite(record.pl(axis))
+    above = int((keep & ~none & ((record.error(axis) > top) | (record.pl(axis) > top))).sum())
     share = f"{100.0 * keep.mean():.1f} % of epochs" + (f", {above:,} above the scale" if above else "")
+    share += f", {int(none.sum()):,} without a level" if none.any() else ""
     axes.set_title(share, fontsize=8, color=INK, loc="left", pad=3)
     if not keep.any():
         axes.text(0.5, 0.5, "mode not used", transform=axes.transAxes, ha="center", fontsize=9, color="#777777")

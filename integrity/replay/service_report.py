@@ -143,11 +143,11 @@ def _rinex_epochs(folder: Path, names: Sequence[str]) -> tuple[ServiceEpochs, fl
 def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
     """Statistics of a drive as JSON data: errors, levels and shares of the epochs that are judged.
 
-    ``no_level`` and ``modes`` are of all recorded epochs.
+    ``no_level`` and ``modes`` are of all recorded epochs, exceedances of those that have levels.
     """
     epochs, keep = drive.epochs, drive.judged
     there = drive.epoch >= 0
-    status = [status_of(drive, n) for n in np.flatnonzero(there)]
+    status = [status_of(drive, int(n)) for n in np.flatnonzero(there)]
     found: dict[str, Any] = {
         "risk": drive.config.risk.integrity_risk, "reference": epochs.reference, "epochs": int(there.sum()),
         "judged": int(keep.sum()), "begun_s": drive.begun_s if np.isfinite(drive.begun_s) else None,
@@ -163,9 +163,11 @@ def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
         "horizontal_of_service": _quantiles(errors[service]) if service.any() else None,
         "available": float(record.available.mean()),
         "alert": float(record.alert.mean()),
-        **{axis: asdict(measure_bounding(record.error(axis), record.pl(axis))) for axis in AXES},
         "caution": CAUTION,
     }
+    level = np.isfinite(record.pl("at") + record.pl("ct"))
+    if level.any():  # without one there is nothing to exceed
+        figures |= {axis: asdict(measure_bounding(record.error(axis)[level], record.pl(axis)[level])) for axis in AXES}
     return found | figures
 
 
@@ -194,7 +196,7 @@ def _write_rows(drive: ServiceDrive, path: Path) -> None:
             there, levels = drive.mode[n] != Mode.NONE, drive.pl_m[n]
             error = drive.position_en_m[n] - drive.epochs.truth_enu_m[drive.epoch[n], :2]
             writer.writerow([
-                f"{drive.time_s[n]:.3f}", Mode(int(drive.mode[n])).key, status_of(drive, n),
+                f"{drive.time_s[n]:.3f}", Mode(int(drive.mode[n])).key, status_of(drive, int(n)),
                 *(f"{v:.3f}" if there else "" for v in drive.position_en_m[n]), f"{drive.heading_rad[n]:.5f}",
                 *(f"{v:.3f}" if np.isfinite(v) else "" for v in levels), int(drive.alert[n]),
                 *(f"{v:.3f}" if judged[n] else "" for v in error),

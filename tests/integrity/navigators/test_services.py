@@ -222,6 +222,7 @@ def _takes(level: float, reckoned: float, latest: Mode, found_before: float = np
     service = service_tables(config, SERVICES["sbas_dfmc"], system)  # type: ignore[arg-type]
     assert service.later.tolist() == [int(Mode.SPP)]
     rows = SimpleNamespace(latest=np.array([int(latest)]), least=np.array([2.0 * found_before**2]))
+    service = service._replace(rules=service.rules.view(np.recarray))  # fields by name, as compiled
     taken = takes.py_func(0, np.full((1, 2), level), np.full((1, 2), reckoned), service, rows)
     assert rows.least[0] == pytest.approx(2.0 * min(level, found_before) ** 2)
     return bool(taken)
