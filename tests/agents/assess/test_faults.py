@@ -51,7 +51,7 @@ def test_every_fault_is_in_the_campaign() -> None:
 def test_the_study_of_the_package_tries_all_its_kinds() -> None:
     """The kinds, sizes and profiles of docs/results/faults.md."""
     cells = cells_of(FaultsConfig())
-    assert len(cells) == 148
+    assert len(cells) == 174
     assert {c.kind for c in cells if c.profile == "ramp"} == {
         "satellite_range", "constellation", "reference_coordinates", "spoofing", "jamming", "gyro_bias", "wheel_slip",
         "v2v_lie", "nlos_burst",

@@ -352,7 +352,7 @@ def test_a_navigator_drives_with_each_test(name: str) -> None:
 @pytest.mark.parametrize("name", ["default", "reflections"])
 @pytest.mark.parametrize("size", [{"magnitude_rank": 1}, {"magnitude_rank": 20}, {"magnitude_cycles": 1}])
 def test_wrong_integers_are_detected_and_misled_by_no_level(name: str, size: dict[str, Any]) -> None:
-    """The integers of the fault are accepted; its residuals or its jump refuse the position, or exclude satellites."""
+    """Under an open sky of all systems the residuals or the jump refuse the position, or exclude satellites."""
     config = CALM.replace(**REFLECTIONS) if name == "reflections" else CALM
     clean, errors = drive(config, (), 12.0)
     check_bounded(clean, errors)
@@ -363,8 +363,6 @@ def test_wrong_integers_are_detected_and_misled_by_no_level(name: str, size: dic
     check_bounded(faulty, errors)
     assert all(s.mode[0] == Mode.RTK for s in faulty[90:99])
     assert faulty[100].mode[0] != Mode.RTK or faulty[100].excluded[0] > 0
-    if "magnitude_rank" in size:  # of all satellites: no position is left that would fit
-        assert all(s.mode[0] != Mode.RTK for s in faulty[101:119])
 
 
 @pytest.mark.parametrize("profile", ["step", "ramp"])

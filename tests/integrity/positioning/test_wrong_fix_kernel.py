@@ -6,6 +6,7 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from lanebound.integrity.core.records import one_record
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
@@ -97,3 +98,18 @@ def test_a_wrong_candidate_moves_the_position_to_the_side_of_the_azimuth() -> No
 def test_too_few_satellites_have_no_wrong_candidate() -> None:
     carriers, used = carriers_of(5, 0), np.array([True, True, True, False, False])
     assert not next_best_integers(carriers, used, 1, 0.0, RULES, np.zeros((5, 2), np.int64))
+
+
+@pytest.mark.parametrize(("n", "least", "most"), [(7, 0.1, 1.0), (20, 0.0, 0.05)])
+def test_wrong_candidates_pass_the_test_of_few_satellites_and_not_of_many(n: int, least: float, most: float) -> None:
+    """Share of geometries whose second best integers pass the global test (0.5 %) and are off by 10 cm and more."""
+    passed, used = [], np.ones(n, np.bool_)
+    for seed in range(100, 140):
+        carriers, z, d = carriers_of(n, seed), np.zeros((n, 2), np.int64), np.zeros(3)
+        assert next_best_integers(carriers, used, 1, 0.0, RULES, z)
+        assert displacement_of(z, carriers, used, 2, d)
+        e, root = carriers.los, 1.0 / np.sqrt(carriers.variance * RULES["sigma_phase"] ** 2 / 2.0)
+        design, y = np.column_stack([e, np.ones(n)]) * root[:, None], root * np.mean(z * WAVELENGTH_M[0, :2], 1)
+        left = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+        passed.append(left @ left < chi2.isf(0.005, n - 4) and np.hypot(d[0], d[1]) > 0.1)
+    assert least <= np.mean(passed) <= most
