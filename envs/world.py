@@ -1,8 +1,8 @@
 """The true world: an environment of highway-env with the ego and all other vehicles.
 
 Its dynamics, traffic, rewards and end rules are unchanged. Three things are set here: the observation (none, because
-lanebound makes its own), reward terms that fail for array actions (merge, roundabout), and the class of the drivers at
-intersections (a separate one, because highway-env changes constants of the class in use).
+lanebound makes its own), reward terms that fail for array actions (merge, roundabout), and the drivers at intersections
+with their right of way (:mod:`.worlds.crossing`).
 """
 
 from __future__ import annotations

@@ -82,10 +82,10 @@ class CrossingRoad(RegulatedRoad):  # type: ignore[misc]
         drivers = [v for v in self.vehicles if isinstance(v, IntersectionDriver)]
         for v in drivers:
             v.movement = _movement(v)
-            v.may_enter = v.movement is not None and (v.to_line_m() <= 0.0 or v.may_enter and not v.stops_in_time())
+            v.may_enter = v.movement is not None and (v.to_line_m() <= 0.0 or (v.may_enter and not v.stops_in_time()))
         asking = [v for v in drivers if v.movement is not None and not v.may_enter]
         first = {v.lane_index: v for v in sorted(asking, key=IntersectionDriver.to_line_m, reverse=True)}
-        order = sorted(first.values(), key=lambda v: (-self.ways[v.movement].priority, v.to_line_m()))
+        order = sorted(first.values(), key=lambda v: (-self._way(v).priority, v.to_line_m()))
         for n, v in enumerate(order):
             if v.to_line_m() < ASKS_M:
                 v.may_enter = self._free(v, drivers) and self._in_time(v, order[:n])
@@ -102,16 +102,27 @@ class CrossingRoad(RegulatedRoad):  # type: ignore[misc]
 
         The first one speeds up gently, the other one as much as drivers do.
         """
-        span = self.ways[u.movement].shared.get(v.movement)
+        span = self._shared(u, v)
         if span is None:
             return True
         left = span[1] + 0.5 * u.LENGTH - self._station(u)
-        if left <= 0.0 or u.movement[0] == v.movement[0]:
-            return left <= 0.0
-        begins = self.ways[v.movement].shared[u.movement][0]
+        reaches = self._shared(v, u)
+        if reaches is None or left <= 0.0 or _arm(u) == _arm(v):
+            return bool(left <= 0.0)
+        begins = reaches[0]
         return _time_s(left, u.speed, 0.5 * START_MPS2) + CLEAR_S < _time_s(v.to_line_m() + begins, v.speed, START_MPS2)
 
+    def _way(self, v: IntersectionDriver) -> Way:
+        assert v.movement is not None
+        return self.ways[v.movement]
+
+    def _shared(self, u: IntersectionDriver, v: IntersectionDriver) -> tuple[float, float] | None:
+        """Stations of a driver's way that are near that of another one."""
+        assert v.movement is not None
+        return self._way(u).shared.get(v.movement)
+
     def _station(self, u: IntersectionDriver) -> float:
+        assert u.movement is not None
         way = self.network.get_lane((*u.movement, 0))
         lane = way if _inside(u) else u.lane
         s = float(lane.local_coordinates(u.position)[0])
@@ -120,8 +131,8 @@ class CrossingRoad(RegulatedRoad):  # type: ignore[misc]
     def _in_time(self, v: IntersectionDriver, before: list[IntersectionDriver]) -> bool:
         """Whether a driver is clear before those that have priority and do not know yet reach the crossing."""
         for u in before:
-            span = self.ways[v.movement].shared.get(u.movement)
-            if span is None or self.ways[u.movement].priority == self.ways[v.movement].priority:
+            span = self._shared(v, u)
+            if span is None or self._way(u).priority == self._way(v).priority:
                 continue
             clear_s = _time_s(v.to_line_m() + span[1] + v.LENGTH, v.speed, START_MPS2)
             if u.to_line_m() / max(u.speed, SLOW_MPS) < clear_s + GAP_S:
@@ -143,6 +154,10 @@ def _movement(v: IntersectionDriver) -> Movement | None:
         return v.movement if s < EXIT_M + v.LENGTH else None
     ahead = [index[:2] for index in v.route or () if index[0].startswith("ir")]
     return ahead[0] if ahead else None
+
+
+def _arm(v: IntersectionDriver) -> str:
+    return v.movement[0] if v.movement is not None else ""
 
 
 def _inside(vehicle: Vehicle) -> bool:

@@ -137,10 +137,11 @@ class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
     """An IDM driver that never reverses, and waits before the crossing until it may enter.
 
     A class of its own, because highway-env's intersection changes its constants. highway-env's own drivers reverse
-    where the gap ahead is shorter than the desired one. At a crossing they then back
-    into those behind them. In ``intersection-v2`` they also follow who comes towards them: the exit of an arm ends at
-    the node where its approach begins, so the approach counts as the lane that goes on from the exit. Beside a vehicle
-    that waits at the crossing, one that leaves it then stops for good, and all others behind it.
+    where the gap ahead is shorter than the desired one. At a crossing they then back into those behind them. In
+    ``intersection-v2`` they also follow who comes towards them: the exit of an arm ends at the node where its approach
+    begins, so the approach counts as the lane that goes on from the exit. Beside a vehicle that waits at the crossing,
+    one that leaves it then stops for good, and all others behind it. They also follow who crosses any of the ways that
+    go on from their approach.
 
     Attributes
     ----------
@@ -169,9 +170,9 @@ class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
         Neither a vehicle on the approach of the arm into which it leaves is ahead, nor another driver whose way only
         crosses its own.
         """
-        if ego_vehicle is not None and front_vehicle is not None:
-            if _comes_towards(ego_vehicle, front_vehicle) or _crosses(ego_vehicle, front_vehicle):
-                front_vehicle = None
+        both = ego_vehicle is not None and front_vehicle is not None
+        if both and (_comes_towards(ego_vehicle, front_vehicle) or _crosses(ego_vehicle, front_vehicle)):
+            front_vehicle = None
         free = min(float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle)), START_MPS2)
         line = self.to_line_m()
         if ego_vehicle is not self or self.may_enter or line <= 0.0:

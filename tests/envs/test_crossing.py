@@ -105,7 +105,7 @@ def test_a_driver_that_waits_stands_at_the_line(road: Any) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_there_are_no_wrecks_in_dense_traffic(road: Any, seed: int) -> None:
-    """Thirty seconds with an arrival in each 1.2 s, all ways alike: highway-env's rule left wrecks in most of these."""
+    """Thirty seconds with an arrival in each 1.2 s, all ways alike; with highway-env's rule seed 1 ends in a wreck."""
     rng = np.random.default_rng(seed)
     for step in range(600):
         if step % 24 == 0:
@@ -116,4 +116,8 @@ def test_there_are_no_wrecks_in_dense_traffic(road: Any, seed: int) -> None:
                 driver(road, int(start), int(end), lane.length - 52.5, float(rng.uniform(6.0, 10.0)))
         driven(road, DT_S)
         assert not any(v.crashed for v in road.vehicles), step
-        road.vehicles = [v for v in road.vehicles if not (v.lane_index[0].startswith("il") and v.lane.local_coordinates(v.position)[0] > 40.0)]
+        road.vehicles = [
+            v
+            for v in road.vehicles
+            if not (v.lane_index[0].startswith("il") and v.lane.local_coordinates(v.position)[0] > 40.0)
+        ]
