@@ -12,9 +12,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.cycle_slips_kernel import MIN_COMMON
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import select, weigh
 from lanebound.integrity.replay.differences import Arc, Reduced
 from lanebound.integrity.replay.rtk_stages import Entries, Signals

@@ -124,5 +124,5 @@ def test_a_part_of_a_preset_extends_another_one() -> None:
 
 
 def test_the_preset_of_reflections_adds_hypotheses_and_nothing_else() -> None:
-    doubtful = NavigatorConfig().replace(positioning={"rtk": {"doubt": {"sets": 60}}})
+    doubtful = NavigatorConfig().replace(positioning={"rtk": {"reflections": {"sets": 60}}})
     assert NavigatorConfig.preset("navigators/reflections") == doubtful != NavigatorConfig()
