@@ -57,9 +57,9 @@ def test_one_decision_is_too_few_to_learn_from() -> None:
 
 def test_policies_are_learnt_from_flat_observations_alone() -> None:
     dictionary, flat = {"observation": {"form": "dict"}}, {"observation": {"form": "flat", "history": 2}}
-    with pytest.raises(ConfigError, match=r"^overrides\.observation\.form must be flat .*, got 'dict': leave it out$"):
+    with pytest.raises(ConfigError, match=r"^overrides\.observation\.form must be flat .*, got 'dict': leave it out; "):
         experiment(overrides=dictionary)
-    with pytest.raises(ConfigError, match=r"^imitation\.observation\.form must be flat .*, got 'dict': leave it out$"):
+    with pytest.raises(ConfigError, match=r"^imitation\.observation\.form must be flat .*, got 'dict': leave it out; "):
         experiment(imitation=dictionary)
     assert experiment(overrides=flat).overrides == flat
 

@@ -261,7 +261,7 @@ def test_held_out_episodes_are_those_of_the_benchmark(tmp_path: Path) -> None:
         for row, outcome in zip(noted, run(suite, tmp_path / one.arm).outcomes, strict=True):
             for key in SHOWN:
                 value = metric_named(key).take(outcome)
-                assert row[key] == pytest.approx(value, rel=0.02 if key == "throughput" else 1e-5, abs=1e-9), key
+                assert row[key] == pytest.approx(value, rel=0.04 if key == "throughput" else 1e-5, abs=1e-9), key
 
 
 def test_curves_take_trainings_of_different_lengths() -> None:

@@ -132,8 +132,8 @@ def test_map_figure(tmp_path: Path) -> None:
     figure = map_figure(position, [1, 1, 2, 3, 0], obstacles=[np.eye(3)[:, :2]], alert=[False] * 4 + [True])
     labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]  # type: ignore[union-attr]
     assert labels[0] == "RTK (40.0 %)"
-    assert labels[-4:] == ["alert", "start", "end", "buildings, overpasses"]
-    ends = [c for c in figure.axes[0].collections if c.get_label() in ("start", "end")]
+    assert labels[-4:] == ["alert", "first estimate", "last estimate", "buildings, overpasses"]
+    ends = [c for c in figure.axes[0].collections if c.get_label() in ("first estimate", "last estimate")]
     start, end = (np.asarray(c.get_offsets()).tolist() for c in ends)
     assert (start, end) == ([[0.0, 0.0]], [[4.0, 0.0]])
     assert save(figure, tmp_path / "deep" / "map.png").stat().st_size > 1000
@@ -146,7 +146,7 @@ def test_the_truth_is_drawn_over_the_map() -> None:
     figure = map_figure(position, [1, 1, 2, 3, 0], truth_en_m=position + 0.5)
     (line,) = [line for line in figure.axes[0].lines if line.get_label() == "truth"]
     np.testing.assert_array_equal(line.get_xydata(), position + 0.5)
-    dots = [c for c in figure.axes[0].collections if c.get_label() not in ("start", "end")]
+    dots = [c for c in figure.axes[0].collections if c.get_label() not in ("first estimate", "last estimate")]
     assert dots
     assert all(line.get_zorder() > c.get_zorder() for c in dots)
     with pytest.raises(InputError, match="truth_en_m"):

@@ -355,7 +355,7 @@ def test_an_unknown_kind_is_refused_with_the_way_to_register_it() -> None:
         ({"kind": "compass"}, rf"kind must be one of {kinds}, got 'compass': import"),
         ({"kind": "spp"}, rf"kind must be one of {kinds}, got 'spp': it is a preset, give services/spp without 'kind'"),
         ("services/sp", r"^navigator must be a kind .*, got 'services/sp': did you mean 'services/spp'\?"),
-        ("skies/open", r"^navigator must be a kind .*, got 'skies/open': 'lanebound config list' lists"),
+        ("skies/open", r"^navigator must be a kind .*, got 'skies/open': did you mean 'services/ppp_open'"),
     ):
         with pytest.raises(ConfigError, match=message):
             gymnasium.make(KEEPING, config={"navigator": given}).reset(seed=1)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from lanebound.integrity.navigators.rtk_reckoning.navigator import blank_filters
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import find_members
 from lanebound.integrity.positioning.codes_kernel import FIXED, RATIO_FAILED
-from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
 from lanebound.integrity.positioning.float_filter_kernel import (
     FilterRow,
     add_epoch,
@@ -20,7 +19,9 @@ from lanebound.integrity.positioning.float_filter_kernel import (
     filtered_ambiguities,
     follows,
 )
+from lanebound.integrity.positioning.parameters import rtk_parameters
 from lanebound.integrity.positioning.resolve_kernel import resolve
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, SATELLITE, Carriers
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 

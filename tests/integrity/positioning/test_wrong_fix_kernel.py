@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from lanebound.integrity.core.records import one_record
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
 from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters
 from lanebound.integrity.positioning.rtk_kernel import SATELLITE, Carriers
@@ -22,9 +21,8 @@ def carriers_of(n: int, seed: int) -> Carriers:
     rng = np.random.default_rng(seed)
     az, el = rng.uniform(0.0, 2.0 * np.pi, n), rng.uniform(0.3, 1.5, n)
     los = np.stack([np.sin(az) * np.cos(el), np.cos(az) * np.cos(el), np.sin(el)], -1)
-    satellites = np.concatenate(
-        [one_record(SATELLITE, system=System.GPS, fixable=True, prior=1e-5, wavelength=0.0)] * n
-    )
+    satellites = np.zeros(n, SATELLITE)
+    satellites["system"], satellites["fixable"], satellites["prior"] = System.GPS, True, 1e-5
     satellites["wavelength"] = WAVELENGTH_M[System.GPS, :2]
     return Carriers(los, satellites, np.zeros((n, 2)), 0.5 * (1.0 + 1.0 / los[:, 2] ** 2))
 
