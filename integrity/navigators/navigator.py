@@ -444,7 +444,10 @@ class Navigator:
         if self.config.context is None:
             return solution
         if self._guard is None or self.state.guard is None:
-            raise InputError("context needs a road map, got none: give one by use_map, or leave navigator.context out")
+            raise InputError(
+                "context (or monitor: {kind: context}) needs a road map, got none: give one by use_map before "
+                "the first epoch, or leave it out"
+            )
         return self._guard.judge(self.state.guard, with_finite(m), solution)
 
     def measure(self, truth: Truth, sky: SkyView | None = None) -> Measurements:

@@ -210,5 +210,5 @@ def test_configuration() -> None:
         NavigatorConfig.load({"context": {"warn_at": "red"}})
     c = NavigatorConfig.load({"kind": "monitored_codes", "dt_s": DT, "context": {}})
     without = Navigator.nominal(c, [1], duration_s=30.0)
-    with pytest.raises(InputError, match="context needs a road map, got none"):
+    with pytest.raises(InputError, match=r"context .* needs a road map, got none"):
         drive(without, 1)
