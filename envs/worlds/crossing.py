@@ -1,8 +1,8 @@
 """Right of way at a crossing without lights: the other drivers enter it only where their way through is free.
 
 highway-env's rule stops the driver of the lower priority wherever it is, also inside the crossing, and the one of the
-higher priority then drives into it. Here a driver is told before the crossing whether it may enter, and goes through
-once it may. Symbols: s station on the way of a driver [m], from where the crossing begins.
+higher priority then drives into it. Here a driver gets permission to enter before the crossing, or waits, and goes
+through once it has it. Symbols: s station on the way of a driver [m], from where the crossing begins.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Movement = tuple[str, str]
 STEP_M = 0.5
 EXIT_M = 8.0  # of the exit that a driver must leave before another one turns into it; a car and a gap of 3 m
 NEAR_M = 3.0  # of two middles: two half widths and 1 m for the lines of drivers in their lanes
-ASKS_M = 30.0  # before the crossing, where a driver is told; it stops from 10 m/s in 25 m
+ASKS_M = 30.0  # before the crossing, where permission is given; a driver stops from 10 m/s in 25 m
 GAP_S = 1.0  # between a driver that leaves a conflict and one of higher priority that reaches the crossing; chosen
 CLEAR_S = 0.7  # between two drivers at one place inside; chosen
 SLOW_MPS = 2.0  # below this a driver waits for an ego inside the crossing; faster ones insist on their right of way
@@ -64,19 +64,19 @@ def ways_through(network: RoadNetwork) -> dict[Movement, Way]:
 
 
 class CrossingRoad(RegulatedRoad):  # type: ignore[misc]
-    """A road with a crossing whose drivers are told when they may enter, in place of highway-env's rule.
+    """A road with a crossing that drivers enter with permission, in place of highway-env's rule.
 
-    They are asked in the order of their priority, the nearer one first among equals, until they can no longer stop
-    before it. One may enter if all that are inside or may enter already leave what they share with its way before it is
-    there, and if it does so before another one of higher priority arrives. The ego is not told anything, and nobody
-    gives way to it. A driver that stands waits while the ego is inside; one that drives brakes for an ego that is on
-    its way or on another one from its approach, as behind a leader.
+    Permission is decided in the order of their priority, the nearer one first among equals, until they can no longer
+    stop before it. One may enter if all that are inside or may enter already leave what they share with its way
+    before it is there, and if it does so before another one of higher priority arrives. The ego needs no permission,
+    and no driver gives way to it. A driver that stands waits while the ego is inside; one that drives brakes for an
+    ego that is on its way or on another one from its approach, as behind a leader.
     """
 
     REGULATION_FREQUENCY = 5
 
     def enforce_road_rules(self) -> None:
-        """Tell each driver that approaches whether it may enter."""
+        """Decide for each driver that approaches whether it may enter."""
         if not hasattr(self, "ways"):
             self.ways = ways_through(self.network)
         drivers = [v for v in self.vehicles if isinstance(v, IntersectionDriver)]
@@ -129,7 +129,7 @@ class CrossingRoad(RegulatedRoad):  # type: ignore[misc]
         return s if _inside(u) else s + way.length if u.lane_index[0].startswith("il") else s - lane.length
 
     def _in_time(self, v: IntersectionDriver, before: list[IntersectionDriver]) -> bool:
-        """Whether a driver is clear before those that have priority and do not know yet reach the crossing."""
+        """Whether a driver is clear before those that have priority and no permission yet reach the crossing."""
         for u in before:
             span = self._shared(v, u)
             if span is None or self._way(u).priority == self._way(v).priority:
