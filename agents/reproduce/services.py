@@ -190,18 +190,18 @@ def _mode_of(case: str) -> Mode:
 
 def _figures(rows: NDArray[np.float64], mode: Mode) -> dict[str, float]:
     """Statistics of epochs (N, 9): horizontal error, errors and levels along and across, mode, HDOP, corrected, HDOP of
-    the line of sight."""
+    the line of sight. Epochs without a position have no error; they are not accurate."""
     error, both, levels, modes, hdop = rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5], rows[:, 6]
-    own = modes == int(mode)
+    own, located = modes == int(mode), modes != int(Mode.NONE)
     return {
-        "cep_m": float(np.median(error)),
-        "hpe95_m": float(np.quantile(error, 0.95)),
+        "cep_m": float(np.median(error[located])) if located.any() else NO_LEVEL_M,
+        "hpe95_m": float(np.quantile(error[located], 0.95)) if located.any() else NO_LEVEL_M,
         "own_cep_m": float(np.median(error[own])) if own.any() else NO_LEVEL_M,
         "own_hpe95_m": float(np.quantile(error[own], 0.95)) if own.any() else NO_LEVEL_M,
         "pl_at_m": float(np.median(levels[:, 0])),
         "pl_ct_m": float(np.median(levels[:, 1])),
         "service": float(own.mean()),
-        "accurate": float((error <= NEEDED_M).mean()),
+        "accurate": float((located & (error <= NEEDED_M)).mean()),
         "bounded": float((levels <= NEEDED_M).all(-1).mean()),
         "beyond": float((both > levels).any(-1).mean()),
         "hdop_below_3": float((hdop < 3.0).mean()),
@@ -228,14 +228,17 @@ def service_rows(result: Mapping[str, Any]) -> Table:
     for case in result["config"]["cases"]:
         for sky, found in result["skies"].items():
             of = found[case]
-            own = "-" if of["own_cep_m"] >= NO_LEVEL_M else f"{of['own_cep_m']:.2f} / {of['own_hpe95_m']:.2f}"
+            errors, own = (
+                "-" if of[cep] >= NO_LEVEL_M else f"{of[cep]:.2f} / {of[hpe95]:.2f}"
+                for cep, hpe95 in (("cep_m", "hpe95_m"), ("own_cep_m", "own_hpe95_m"))
+            )
             levels = ["-" if of[key] >= NO_LEVEL_M else f"{of[key]:.1f}" for key in ("pl_at_m", "pl_ct_m")]
             shown = ("service", "corrected", "accurate", "bounded", "hdop_below_3", "direct_below_3")
             shares = [f"{100.0 * of[key]:.0f} %" for key in shown]
             beyond = f"{of['beyond']:.1e}" if of["beyond"] else "0"
             first = sky == next(iter(result["skies"]))
             rows.append((
-                case if first else "", sky, f"{of['cep_m']:.2f} / {of['hpe95_m']:.2f}", own, *levels, *shares, beyond,
+                case if first else "", sky, errors, own, *levels, *shares, beyond,
                 PUBLISHED[case] if first else "",
             ))  # fmt: skip
     heads = (

@@ -12,6 +12,7 @@ from lanebound.agents.reproduce.service_drives import NO_DOP, approach, converge
 from lanebound.agents.reproduce.services import (
     ServiceStudyConfig,
     _drive,
+    _figures,
     convergence_rows,
     mixed_rows,
     run_services,
@@ -19,6 +20,7 @@ from lanebound.agents.reproduce.services import (
 )
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import NavigatorConfig
+from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.systems import System
 
 
@@ -96,3 +98,12 @@ def test_ppp_gets_better_with_time_and_its_levels_hold() -> None:
     assert found["level_m"][-1] < found["level_m"][0]
     assert max(found["beyond"]) == 0.0
     assert found["rms_m"][-1] < 2.0  # it has hardly converged
+
+
+def test_epochs_without_a_position_have_no_error() -> None:
+    rows = np.zeros((10, 9))
+    rows[:, 0], rows[:, 3:5], rows[:, 5] = 0.5, np.inf, int(Mode.RTK)
+    rows[:4, 0], rows[:4, 5] = 900.0, int(Mode.NONE)  # vehicles that never had a position stand at the origin
+    found = _figures(rows, Mode.RTK)
+    assert (found["cep_m"], found["hpe95_m"], found["accurate"]) == (0.5, 0.5, 0.6)
+    assert _figures(rows[:4], Mode.RTK)["accurate"] == 0.0
