@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from markupsafe import Markup, escape
 
+from lanebound.envs.costs import CAUSES
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -19,7 +21,7 @@ __all__ = ["Box", "colour", "new_axes", "new_figure", "span", "spread_out", "to_
 
 VARIABLES = (
     "ink", "soft", "grid", "card", "ground", "better", "worse", "level", "limit", "error", "alert", "dense",
-    *(f"s{k}" for k in range(8)), *(f"c{k}" for k in range(8)), *(f"z{k}" for k in range(5)),
+    *(f"s{k}" for k in range(8)), *(f"c{k}" for k in range(len(CAUSES))), *(f"z{k}" for k in range(5)),
 )  # fmt: skip
 STAND_INS = {name: f"#0101{k:02x}" for k, name in enumerate(VARIABLES)}
 KEPT = ("d", "style", "x", "y", "width", "height", "transform", "id", "href")  # attributes of elements

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from lanebound.agents.report.charts import (
     stanford,
     trace,
 )
+from lanebound.envs.costs import CAUSES
 from lanebound.integrity.assessment.events import Zone
 from lanebound.integrity.assessment.plotting import MODE_COLOURS
 from lanebound.integrity.assessment.record import Record
@@ -129,6 +131,14 @@ def test_bars_end_at_their_totals():
     assert "a 4.00 (lane 3.00, alert 1.00)" in ET.fromstring(drawn).attrib["aria-label"]
     assert notes(drawn) == ["a, lane: 3.00", "a, alert: 1.00", "b, lane: 2.00"]
     assert stacked("Costs", [CostBar("a", {"lane": 0.0})])
+
+
+def test_every_cause_of_costs_has_a_colour() -> None:
+    drawn = stacked("Costs", [CostBar("a", dict.fromkeys(CAUSES, 1.0))])
+    style = resources.files("lanebound.agents.report").joinpath("page.css").read_text(encoding="utf-8")
+    for k in range(len(CAUSES)):
+        assert f"var(--c{k})" in drawn
+        assert style.count(f"--c{k}:") == 2  # light and dark
 
 
 def test_a_stanford_diagram_counts_its_zones():
