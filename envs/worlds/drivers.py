@@ -138,10 +138,10 @@ class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
 
     A class of its own, because highway-env's intersection changes its constants. highway-env's own drivers reverse
     where the gap ahead is shorter than the desired one. At a crossing they then back into those behind them. In
-    ``intersection-v2`` they also follow who comes towards them: the exit of an arm ends at the node where its approach
+    ``intersection-v2`` they also follow vehicles that come towards them: the exit of an arm ends at the node where its approach
     begins, so the approach counts as the lane that goes on from the exit. Beside a vehicle that waits at the crossing,
-    one that leaves it then stops for good, and all others behind it. They also follow who crosses any of the ways that
-    go on from their approach.
+    one that leaves it then stops for good, and all others behind it. They also follow vehicles that
+    cross any of the ways that go on from their approach.
 
     Attributes
     ----------
@@ -197,7 +197,7 @@ def _comes_towards(vehicle: Vehicle, other: Vehicle) -> bool:
 
 
 def _crosses(vehicle: Vehicle, other: Vehicle) -> bool:
-    """Whether another driver inside the crossing has neither the approach nor the exit of a driver."""
+    """Whether another driver inside the crossing comes from another approach and leaves by another exit."""
     own, theirs = getattr(vehicle, "movement", None), getattr(other, "movement", None)
     if own is None or theirs is None or not other.lane_index[0].startswith("ir"):
         return False

@@ -13,7 +13,7 @@ import pytest
 
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes import EpisodeLog, drive, open_env
-from lanebound.agents.episodes.columns import COLUMNS, Column, Moment, columns, register_column, withdraw_column
+from lanebound.agents.episodes.columns import COLUMNS, Column, Moment, _is_of, columns, register_column, withdraw_column
 from lanebound.integrity.core.errors import InputError
 
 
@@ -63,6 +63,12 @@ def test_a_column_whose_function_fails_is_named(take: Callable[[Moment], Any], m
     finally:
         withdraw_column("mine")
         env.close()
+
+
+def test_values_of_a_list_column_are_checked_one_by_one() -> None:
+    good, bad = ([1.0, 2], np.zeros(2), ()), (3.0, "12", [True], ["a"], None)
+    assert all(_is_of(value, "floats") for value in good)
+    assert not any(_is_of(value, "floats") for value in bad)
 
 
 def test_a_column_of_an_unknown_kind_is_refused() -> None:
