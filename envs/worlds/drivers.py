@@ -138,9 +138,9 @@ class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
 
     A class of its own, because highway-env's intersection changes its constants. highway-env's own drivers reverse
     where the gap ahead is shorter than the desired one. At a crossing they then back into those behind them. In
-    ``intersection-v2`` they also follow vehicles that come towards them: the exit of an arm ends at the node where its approach
-    begins, so the approach counts as the lane that goes on from the exit. Beside a vehicle that waits at the crossing,
-    one that leaves it then stops for good, and all others behind it. They also follow vehicles that
+    ``intersection-v2`` they also follow vehicles that come towards them: the exit of an arm ends at the node where
+    its approach begins, so the approach counts as the lane that goes on from the exit. Beside a vehicle that waits at
+    the crossing, one that leaves it then stops for good, and all others behind it. They also follow vehicles that
     cross any of the ways that go on from their approach.
 
     Attributes
