@@ -247,7 +247,7 @@ def _taken(column: Column, moment: Moment) -> Any:
 def _is_of(value: Any, kind: Kind) -> bool:
     """Whether a value can be stored in a column of a kind."""
     if kind == "floats":
-        return isinstance(value, TYPES[kind]) and all(_is_of(number, "float") for number in value)
+        return isinstance(value, list | tuple | np.ndarray) and all(_is_of(number, "float") for number in value)
     return isinstance(value, TYPES[kind]) and (kind == "bool" or not isinstance(value, bool))
 
 

@@ -74,18 +74,7 @@ def filter_parameters(c: FilterConfig) -> Records:
         misfit_alert=math.inf if c.gate.misfit_alert is None else c.gate.misfit_alert,
         forward=forward,
         right=right,
-        accelerometer_density=motion.accelerometer_density,
-        accelerometer_bias=motion.accelerometer_bias_mps2,
-        speed_sigma=motion.speed_sigma_mps,
-        speed_factor=correlation_factor(motion.speed_tau_s, c.dt_s),
-        creep_factor=correlation_factor(motion.creep_tau_s, c.dt_s),
-        slip_sigma=np.deg2rad(motion.slip_sigma_deg),
-        steering_sigma=np.deg2rad(motion.steering_sigma_deg),
-        steering_factor=correlation_factor(motion.steering_tau_s, c.dt_s),
-        compass_sigma=np.deg2rad(motion.compass_sigma_deg),
-        compass_factor=correlation_factor(motion.compass_tau_s, c.dt_s),
-        compass_start=1.5 * np.deg2rad(math.hypot(motion.compass_sigma_deg, motion.compass_deviation_deg)),
-        rest_mps2=motion.rest_mps2,
+        **_body_sensors(c),
         still_speed=dead.standstill_speed_mps,
         walk=heading.angle_random_walk_rad,
         axle=c.positioning.axle_m,
@@ -103,6 +92,25 @@ def filter_parameters(c: FilterConfig) -> Records:
         sbas_sigmas=Operation.EN_ROUTE.value[0],
         alert=alert_parameters(c.alert),
     )
+
+
+def _body_sensors(c: FilterConfig) -> dict[str, Any]:
+    """Declared errors of accelerometers, wheels, slip by the geometry, steering and compass."""
+    motion = c.motion
+    return {
+        "accelerometer_density": motion.accelerometer_density,
+        "accelerometer_bias": motion.accelerometer_bias_mps2,
+        "speed_sigma": motion.speed_sigma_mps,
+        "speed_factor": correlation_factor(motion.speed_tau_s, c.dt_s),
+        "creep_factor": correlation_factor(motion.creep_tau_s, c.dt_s),
+        "slip_sigma": np.deg2rad(motion.slip_sigma_deg),
+        "steering_sigma": np.deg2rad(motion.steering_sigma_deg),
+        "steering_factor": correlation_factor(motion.steering_tau_s, c.dt_s),
+        "compass_sigma": np.deg2rad(motion.compass_sigma_deg),
+        "compass_factor": correlation_factor(motion.compass_tau_s, c.dt_s),
+        "compass_start": 1.5 * np.deg2rad(math.hypot(motion.compass_sigma_deg, motion.compass_deviation_deg)),
+        "rest_mps2": motion.rest_mps2,
+    }
 
 
 def _rest_tau_s(c: FilterConfig) -> float:
