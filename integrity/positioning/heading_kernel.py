@@ -38,6 +38,7 @@ __all__ = [
     "CALIBRATION",
     "HEADING",
     "TURN",
+    "copy_heading",
     "correct",
     "correlate",
     "doppler_heading_usable",
@@ -94,6 +95,16 @@ CALIBRATION = record(
     max_jump="largest difference of the Doppler course and the heading [rad]",
 )
 """When Doppler calibrates the heading (S1 table 1, third column)."""
+
+
+@jit(borrows=True)
+def copy_heading(source: Any, to: Any) -> None:
+    """Copy what a heading filter knows of its errors; it then has none in common with Doppler errors of the past."""
+    to.angle, to.gyro_bias, to.gyro_scale = source.angle, source.gyro_bias, source.gyro_scale
+    to.p_hh, to.p_hb, to.p_hs = source.p_hh, source.p_hb, source.p_hs
+    to.p_bb, to.p_bs, to.p_ss = source.p_bb, source.p_bs, source.p_ss
+    to.axle_h, to.axle_b, to.axle_s = source.axle_h, source.axle_b, source.axle_s
+    to.noise[:, :], to.white[:, :] = 0.0, 0.0
 
 
 @jit(borrows=True)

@@ -7,7 +7,15 @@ from typing import Any
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import wrap
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import cholesky_2
+from lanebound.integrity.monitoring.heading_doubt_kernel import (
+    due,
+    follow_gyro,
+    note_agreement,
+    note_refusal,
+    turn_to_doppler,
+)
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.positioning.heading_kernel import (
     correct,
@@ -17,7 +25,6 @@ from lanebound.integrity.positioning.heading_kernel import (
     expect_turn,
     observe,
     predict_heading,
-    raise_uncertainty,
     rest_heading,
 )
 from lanebound.integrity.positioning.mode_kernel import doppler_usable, speed_dilution
@@ -26,7 +33,6 @@ from lanebound.integrity.positioning.odometer_watch_kernel import STANDING_MPS, 
 __all__ = ["find_attitude"]
 
 MOVING_MPS = 0.5  # slower, the side slip is not known
-REACQUIRE_S = 1.0  # of Doppler courses refused for their jump, before the heading filter opens up
 REST_S = 0.5  # without motion, until the vehicle is at rest
 REST_DOPPLER_MPS = 0.1  # Doppler speed that is no motion, at least
 
@@ -45,8 +51,12 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
         slip_rate = w.turning / (speed * math.cos(w.slip)) if abs(speed) > MOVING_MPS else 0.0
         expect_turn(measured.turn[v, 2], par.dt, par.heading.angle_random_walk, slip_rate, heading, w.step.turn)
         w.middle = wrap(_advance_heading(heading, par, measured.turn[v, 2], w) + w.slip)
+        w.reckoned = heading.angle
+        w.before_e, w.before_n = vehicle.position[0], vehicle.position[1]
+        if not w.resting:
+            follow_gyro(measured.turn[v, 2], par.heading, par.dt, vehicle.doubt)
         vehicle.memory_s += par.dt
-        if w.checked and not w.resting and _calibrate(vehicle, par, speed, slip_rate, w):
+        if w.checked and not w.resting and _calibrate(vehicle, epoch.state.growth[v], par, speed, slip_rate, w):
             vehicle.since_calibration = 0.0
             vehicle.memory_s *= 1.0 - w.step.turn.k_h
         w.sin_h, w.cos_h = math.sin(heading.angle), math.cos(heading.angle)
@@ -60,6 +70,7 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
             w.sdop = speed_dilution(w.v_e, w.v_n, w.sin_h, w.cos_h, w.q, par.doppler.sigma)
         w.measured = doppler_usable(w.checked, w.v_gnss, speed, w.hdop_doppler, par.modes)
         w.measured = w.measured and w.sdop <= par.modes.doppler_max_sdop
+        w.measured = w.measured and (par.risk.published or not vehicle.doubt.refuses)
 
 
 @jit(borrows=True)
@@ -109,11 +120,12 @@ def _advance_heading(heading: Any, par: Any, delta_theta: float, w: Any) -> floa
 
 
 @jit(borrows=True)
-def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -> bool:
+def _calibrate(vehicle: Any, growth: Records, par: Any, speed: float, slip_rate: float, w: Any) -> bool:
     """Calibrate the heading filter by the checked Doppler course where S1 table 1 allows it; True when done.
 
     The limit of the jump is widened to 3 sigma while the filter itself is less certain than the limit. Courses refused
-    for REACQUIRE_S for their jump alone show that the filter is wrong: its variance is raised to accept a new heading.
+    for their jump alone, for as long as a failed gyro needs for it, raise the variance of the filter. It then follows
+    them; the heading by the gyro goes on beside it (:mod:`~lanebound.integrity.monitoring.heading_doubt_kernel`).
     """
     heading, limits = vehicle.heading, par.heading.calibration
     magnitude = math.hypot(w.v_e, w.v_n)
@@ -127,11 +139,14 @@ def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -
     variance = doppler_heading_variance(w.v_e, w.v_n, w.q[0, 0], w.q[0, 1], w.q[1, 1])
     if abs(jump) >= allowed:
         beyond = abs(jump) > allowed + 3.0 * math.sqrt(variance)
-        vehicle.course_refused_s = vehicle.course_refused_s + par.dt if beyond else 0.0
-        if vehicle.course_refused_s > REACQUIRE_S:
-            raise_uncertainty(jump, par.heading.bias_initial, par.heading.gyro_scale, heading)
+        if not beyond:
+            vehicle.doubt.refused_s = 0.0
+        else:
+            note_refusal(par.dt, course - w.slip, vehicle.doubt)
+            if due(jump, vehicle.doubt):
+                turn_to_doppler(jump, par.heading, heading, vehicle.doubt, growth)
         return False
-    vehicle.course_refused_s = 0.0
+    note_agreement(par.dt, limits.max_jump, heading, vehicle.doubt, growth)
     variance *= par.doppler.course
     turn, signed = w.step.turn, math.copysign(magnitude, speed)
     right_e, right_n = math.cos(course) / signed, -math.sin(course) / signed

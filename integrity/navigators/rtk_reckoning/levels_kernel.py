@@ -9,6 +9,7 @@ import math
 from typing import Any, NamedTuple
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, shortened, sigma_and_bias
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
@@ -19,6 +20,7 @@ from lanebound.integrity.monitoring.doppler_separation_kernel import (
     separations_of,
     worst_separation,
 )
+from lanebound.integrity.monitoring.heading_doubt_kernel import NONE, aside, cover_axes
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Array, Epoch, Tables
 
 __all__ = [
@@ -71,6 +73,16 @@ def find_levels(first: int, last: int, epoch: Epoch) -> None:
                 state.growth[v, LATEST], state.starts[v, LATEST], separations_of(state.latest, v)
             )
             levels_since_fix(latest, tables, par.risk, w.sin_h, w.cos_h, w.later, epoch.out.levels[v])
+            if vehicle.doubt.stage != NONE:
+                _cover_axes(wrap(vehicle.doubt.other.angle - vehicle.heading.angle), tables, epoch.out.levels[v])
+
+
+@jit(borrows=True)
+def _cover_axes(between: float, tables: Tables, levels: Array) -> None:
+    """Raise the exact levels (R, 2) to hold on axes turned by ``between`` [rad] as well."""
+    for r in range(levels.shape[0]):
+        if not tables.cases[r].published:
+            cover_axes(between, levels[r])
 
 
 @jit(borrows=True)
@@ -117,7 +129,7 @@ def levels_since_fix(
                 worst = worst_separation(sine, cosine, sigma_bias[q], by_heading, k_f, separations)
                 level = max(level, worst + whole)
             bow = shortened(sine, cosine, max(k_0, k_f) if k_f < math.inf else k_0, growth)
-            pl[r, q] = level + sigma_bias[2 + q] + bow + risk.reference_bias
+            pl[r, q] = level + sigma_bias[2 + q] + bow + risk.reference_bias + aside(sine, cosine, growth)
 
 
 @jit(borrows=True)

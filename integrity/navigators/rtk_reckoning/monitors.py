@@ -15,6 +15,7 @@ from lanebound.integrity.core.plugins import find
 from lanebound.integrity.core.presets import require_registered
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.navigators.rtk_reckoning.doubt_stage_kernel import follow_histories, judge_histories
 from lanebound.integrity.navigators.rtk_reckoning.drift_stage_kernel import watch_drift
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import (
@@ -99,6 +100,12 @@ BUILT_IN = {
             "RTK positions that contradict dead reckoning, the backup solution or the drift watch",
             ("phase",),
             {Point.JUDGED: judge_fix, Point.BOUNDED: widen_levels},
+        ),
+        Monitor(
+            "heading",
+            "Doppler courses and a gyro that contradict each other; bounds the paths by either",
+            ("range_rate", "turn", "speed"),
+            {Point.MOVED: follow_histories, Point.JUDGED: judge_histories},
         ),
     )
 }

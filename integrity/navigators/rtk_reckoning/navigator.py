@@ -14,6 +14,7 @@ from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH
 from lanebound.integrity.monitoring.doppler_separation_kernel import Influences, Separations
+from lanebound.integrity.monitoring.heading_doubt_kernel import HEADING_DOUBT
 from lanebound.integrity.monitoring.heading_separation_kernel import SPREAD, Courses
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, Rows, register_navigator
 from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import find_attitude
@@ -96,7 +97,7 @@ class RtkReckoningNavigator(Navigator):
         vehicles["since_calibration"], vehicles["memory_s"] = 0.0, 0.0
         for array in self.state.belief.courses:
             array[:] = 0.0
-        vehicles["spread"] = np.zeros((), SPREAD)
+        vehicles["spread"], vehicles["doubt"] = np.zeros((), SPREAD), np.zeros((), HEADING_DOUBT)
 
     def place_rows(
         self, rows: Rows | slice, position_en_m: Array, heading_rad: Array, sigma_m: float, sigma_heading_rad: float

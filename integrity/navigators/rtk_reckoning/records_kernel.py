@@ -13,6 +13,7 @@ from lanebound.integrity.monitoring.alerts_kernel import ALERT, ALERT_RULES
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import STEP
 from lanebound.integrity.monitoring.detection_kernel import FDE_RULES, Thresholds
 from lanebound.integrity.monitoring.doppler_separation_kernel import Influences, Separations
+from lanebound.integrity.monitoring.heading_doubt_kernel import HEADING_DOUBT
 from lanebound.integrity.monitoring.heading_separation_kernel import SPREAD, Courses
 from lanebound.integrity.monitoring.jump_kernel import JUMP
 from lanebound.integrity.positioning.drift_watch_kernel import DRIFT_RULES, DriftWatch
@@ -162,7 +163,7 @@ VEHICLE = record(
     since_calibration="time since the heading was last calibrated [s]",
     memory_s="mean age of the courses in the heading [s]",
     spread=(SPREAD, "covariance of what one satellite or system did to the heading"),
-    course_refused_s="how long Doppler courses have been refused for their jump [s]",
+    doubt=(HEADING_DOUBT, "the other heading, while gyro and Doppler courses contradict each other"),
     rest_s="how long the vehicle has been at rest [s]",
     velocity=("f8", (2,), "East, North at the end of the last epoch [m/s]"),
     has_velocity=("?", "the velocity begins a trapezoid"),
@@ -282,6 +283,9 @@ WORK = record(
     sin_h="sine of the heading",
     cos_h="cosine of the heading",
     step=(STEP, "what the epoch does to the error processes"),
+    reckoned="heading at the end of the epoch, before Doppler calibrates it [rad]",
+    before_e="position before it moves, East [m]",
+    before_n="the same, North [m]",
     run="distance that the position moved along the heading in this epoch, else 0 [m]",
     mode=("i8", "code of the positioning mode, UNDECIDED before one is found"),
     integrates=("?", "the position moved by the Doppler velocity"),
