@@ -28,7 +28,7 @@ from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.agents.reproduce.service_drives import HOURS, NO_DOP, converge, drive_service_street
+from lanebound.agents.reproduce.service_drives import HOURS, NO_DOP, ServiceStreet, converge, drive_service_street, streets_of
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
@@ -94,7 +94,7 @@ PUBLISHED = {
 class ServiceStudyConfig(Config):
     """Which services, skies and drives."""
 
-    seeds: int = Field(100, ge=1, le=10_000, description="streets of each sky; each is a part")
+    seeds: int = Field(100, ge=1, le=10_000, description="streets of each sky; a part is one under all skies")
     cases: tuple[str, ...] = Field(tuple(CASES), min_length=1, description="services and receivers")
     skies: tuple[str, ...] = Field(
         ("open", "suburban", "urban", "dense"), min_length=1, description="levels of the sky"
@@ -103,14 +103,27 @@ class ServiceStudyConfig(Config):
     duration_s: float = Field(60.0, gt=0, description="length of a drive after the warm-up [s]")
     warm_up_s: float = Field(20.0, ge=0, description="time before the first epoch that counts [s]")
     ppp_approach_s: float = Field(
-        600.0, ge=0, le=3600, description="drive under an open sky before a street, in which PPP converges [s]"
+        300.0, ge=0, le=3600, description="drive under an open sky before a street, in which PPP converges [s]"
     )
     ppp_hours: int = Field(8, ge=0, le=HOURS, description="hours of the day at which PPP converges; 0: not at all")
     ppp_minutes: int = Field(30, ge=1, le=120, description="time at rest of PPP [min]; S2 Table 1: up to 30")
     geo_reacquire_s: float = Field(
         3.0, ge=0, description="from the end of an obstruction to the next message of a GEO [s]; S4 prints none"
     )
+    street_m: float = Field(2000.0, ge=500, le=20_000, description="length of a street [m]; vehicles begin all along it")
     first_seed: int = Field(401, ge=0, description="of the drives; nothing was fitted there")
+
+    def drives(self) -> StreetDrivesConfig:
+        """The streets and their vehicles, with any navigator."""
+        return StreetDrivesConfig(
+            skies=self.skies,
+            faults=None,
+            vehicles=self.vehicles,
+            duration_s=self.duration_s,
+            warm_up_s=self.warm_up_s,
+            length_m=self.street_m,
+            seed=self.first_seed,
+        )
 
 
 def run_services(
@@ -124,46 +137,40 @@ def run_services(
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
     ResultFolder(out, "services study", config.to_dict(), code_digest(*PACKAGES)).claim()
-    names = [f"{k}-{n}" for k in range(len(config.skies)) for n in range(config.seeds)]
+    names = [str(number) for number in range(config.seeds)]
     names += [f"ppp-{hour * HOURS // config.ppp_hours}" for hour in range(config.ppp_hours)]
     parts = run_parts(out, names, partial(work_street, config), jobs, on_progress)
     result: dict[str, Any] = {"config": config.to_dict(), "skies": {}}
     alone = [part for name, part in parts.items() if name.startswith("ppp-")]
     if alone:
         result["ppp"] = _convergence(alone)
-    for k, sky in enumerate(config.skies):
-        mine = [part for name, part in parts.items() if name.startswith(f"{k}-")]
-        result["skies"][sky] = {case: _medians([part[case] for part in mine]) for case in config.cases}
+    streets = [part for name, part in parts.items() if not name.startswith("ppp-")]
+    for sky in config.skies:
+        result["skies"][sky] = {case: _medians([part[sky][case] for part in streets]) for case in config.cases}
     write_json(out / "services.json", result)
     return result
 
 
 def work_street(config: ServiceStudyConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
-    """One street with each service in turn, or PPP at one hour; it does not depend on others."""
+    """One street under each sky with each service in turn, or PPP at one hour; it does not depend on others."""
     if name.startswith("ppp-"):
         hour = int(name.removeprefix("ppp-"))
         return converge(config.first_seed, hour, config.vehicles, config.ppp_minutes, advance=advance)
-    sky, number = (int(text) for text in name.split("-"))
-    found = {}
-    for n, case in enumerate(config.cases):
-        found[case] = _drive(config, config.skies[sky], number, case)
-        advance((n + 1) / len(config.cases))
+    found: dict[str, Any] = {sky: {} for sky in config.skies}
+    drives = len(config.skies) * len(config.cases)
+    for k, street in enumerate(streets_of(config.drives(), int(name))):
+        for n, case in enumerate(config.cases):
+            found[street.sky][case] = _drive(config, street, case)
+            advance((k * len(config.cases) + n + 1) / drives)
     return found
 
 
-def _drive(config: ServiceStudyConfig, sky: str, number: int, case: str) -> dict[str, float]:
+def _drive(config: ServiceStudyConfig, street: ServiceStreet, case: str) -> dict[str, float]:
     """Figures of a drive: errors and levels [m], and shares of the epochs."""
     preset, changes = CASES[case]
-    drives = StreetDrivesConfig(
-        skies=(sky,),
-        faults=None,
-        vehicles=config.vehicles,
-        duration_s=config.duration_s,
-        warm_up_s=config.warm_up_s,
-        seed=config.first_seed,
-        navigator=NavigatorConfig.preset(preset)
-        .replace(**changes)
-        .replace(gnss={"augmentation": {"geo_reacquire_s": config.geo_reacquire_s}}),
+    navigator = NavigatorConfig.preset(preset).replace(**changes)
+    drives = config.drives().replace(
+        navigator=navigator.replace(gnss={"augmentation": {"geo_reacquire_s": config.geo_reacquire_s}})
     )
     rows = [
         np.column_stack(
@@ -177,7 +184,7 @@ def _drive(config: ServiceStudyConfig, sky: str, number: int, case: str) -> dict
                 moment.hdop_direct,
             ]
         )
-        for moment in drive_service_street(drives, sky, number, config.ppp_approach_s if case == "ppp" else 0.0)
+        for moment in drive_service_street(drives, street, config.ppp_approach_s if case == "ppp" else 0.0)
     ]
     return _figures(np.concatenate(rows), _mode_of(case))
 
@@ -190,8 +197,10 @@ def _mode_of(case: str) -> Mode:
 
 def _figures(rows: NDArray[np.float64], mode: Mode) -> dict[str, float]:
     """Statistics of epochs (N, 9): horizontal error, errors and levels along and across, mode, HDOP, corrected, HDOP of
-    the line of sight. Epochs without a position have no error; they are not accurate."""
-    error, both, levels, modes, hdop = rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5], rows[:, 6]
+    the line of sight. Epochs without a position have no error; they are not accurate. HDOP is NaN where it is not
+    sampled."""
+    sampled = rows[np.isfinite(rows[:, 6])]
+    error, both, levels, modes, hdop = rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5], sampled[:, 6]
     own, located = modes == int(mode), modes != int(Mode.NONE)
     return {
         "cep_m": float(np.median(error[located])) if located.any() else NO_LEVEL_M,
@@ -205,9 +214,9 @@ def _figures(rows: NDArray[np.float64], mode: Mode) -> dict[str, float]:
         "bounded": float((levels <= NEEDED_M).all(-1).mean()),
         "beyond": float((both > levels).any(-1).mean()),
         "hdop_below_3": float((hdop < 3.0).mean()),
-        "direct_below_3": float((rows[:, 8] < 3.0).mean()),
+        "direct_below_3": float((sampled[:, 8] < 3.0).mean()),
         "corrected": float(rows[:, 7].mean()),
-        "available": float(((rows[:, 7] > 0.0) & (rows[:, 8] < NO_DOP)).mean()),
+        "available": float(((sampled[:, 7] > 0.0) & (sampled[:, 8] < NO_DOP)).mean()),
     }
 
 
