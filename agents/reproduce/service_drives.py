@@ -27,7 +27,16 @@ from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
-__all__ = ["HOURS", "ServiceMoment", "ServiceStreet", "approach", "converge", "drive_service_street", "hdop", "streets_of"]
+__all__ = [
+    "HOURS",
+    "ServiceMoment",
+    "ServiceStreet",
+    "approach",
+    "converge",
+    "drive_service_street",
+    "hdop",
+    "streets_of",
+]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

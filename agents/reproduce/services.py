@@ -28,24 +28,28 @@ from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.agents.reproduce.service_drives import HOURS, NO_DOP, ServiceStreet, converge, drive_service_street, streets_of
+from lanebound.agents.reproduce.service_drives import (
+    HOURS,
+    NO_DOP,
+    ServiceStreet,
+    converge,
+    drive_service_street,
+    streets_of,
+)
+from lanebound.agents.reproduce.service_tables import NO_LEVEL_M
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 
 __all__ = [
     "CASES",
-    "PUBLISHED",
     "ServiceStudyConfig",
-    "convergence_rows",
-    "mixed_rows",
     "run_services",
-    "service_rows",
+    "work_street",
 ]
 
 PACKAGES = ("lanebound.integrity", "lanebound.envs.sky", "lanebound.agents.assess", "lanebound.agents.reproduce")
 NEEDED_M = 1.5  # of the applications, S2 section 8
-NO_LEVEL_M = 1e4
 MURCIA = {"lat_deg": 38.0, "lon_deg": -1.13, "height_m": 50.0, "galileo": 0, "glonass": 0, "beidou": 0, "qzss": 0}
 LOW_COST = {
     "gnss": {
@@ -76,20 +80,6 @@ CASES: dict[str, tuple[str, Mapping[str, Any]]] = {
 }
 """Preset of each case and what differs from it."""
 
-PUBLISHED = {
-    "spp": "1 to 6 m (S2 Table 1)",
-    "dgps": "sub-metre to a few metres (S2 Table 1)",
-    "sbas_l1": "sub-metre to 1.5 m (S2 Table 1); to more than 2 m (S2 6)",
-    "sisnet": "as sbas_l1 (S4 II-A)",
-    "sbas_dfmc": "slightly better than L1; applications 80 % in the open (S2 6)",
-    "ppp": "below 0.1 m after up to 30 min (S2 Table 1); applications nearly always in the open (S2 6)",
-    "rtk": "few cm (S2 Table 1)",
-    "nrtk": "few cm (S2 Table 1)",
-    "s4_gps": "open: CEP 3.2 m, HPE95 8.1 m; HDOP < 3 about 80 % urban, 95 % highway (S4 III-A)",
-    "s4_egnos": "open: CEP 1.9 m, HPE95 5.2 m; available 64.8 % mixed, 60 % city (S4 III-A)",
-    "s4_sisnet": "available 89.2 % mixed (S4 Table IV)",
-}
-
 
 class ServiceStudyConfig(Config):
     """Which services, skies and drives."""
@@ -110,7 +100,9 @@ class ServiceStudyConfig(Config):
     geo_reacquire_s: float = Field(
         3.0, ge=0, description="from the end of an obstruction to the next message of a GEO [s]; S4 prints none"
     )
-    street_m: float = Field(2000.0, ge=500, le=20_000, description="length of a street [m]; vehicles begin all along it")
+    street_m: float = Field(
+        2000.0, ge=500, le=20_000, description="length of a street [m]; vehicles begin all along it"
+    )
     first_seed: int = Field(401, ge=0, description="of the drives; nothing was fitted there")
 
     def drives(self) -> StreetDrivesConfig:
@@ -228,35 +220,6 @@ def _medians(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {key: float((np.mean if key in shares else np.median)([part[key] for part in parts])) for key in parts[0]}
 
 
-Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
-
-
-def service_rows(result: Mapping[str, Any]) -> Table:
-    """Errors, levels and shares of each case under each sky, with what the papers print."""
-    rows = []
-    for case in result["config"]["cases"]:
-        for sky, found in result["skies"].items():
-            of = found[case]
-            errors, own = (
-                "-" if of[cep] >= NO_LEVEL_M else f"{of[cep]:.2f} / {of[hpe95]:.2f}"
-                for cep, hpe95 in (("cep_m", "hpe95_m"), ("own_cep_m", "own_hpe95_m"))
-            )
-            levels = ["-" if of[key] >= NO_LEVEL_M else f"{of[key]:.1f}" for key in ("pl_at_m", "pl_ct_m")]
-            shown = ("service", "corrected", "accurate", "bounded", "hdop_below_3", "direct_below_3")
-            shares = [f"{100.0 * of[key]:.0f} %" for key in shown]
-            beyond = f"{of['beyond']:.1e}" if of["beyond"] else "0"
-            first = sky == next(iter(result["skies"]))
-            rows.append((
-                case if first else "", sky, errors, own, *levels, *shares, beyond,
-                PUBLISHED[case] if first else "",
-            ))  # fmt: skip
-    heads = (
-        "case", "sky", "CEP / HPE95 [m]", "of its mode [m]", "PL along", "PL across", "of its mode", "corrected",
-        "error < 1.5 m", "levels < 1.5 m", "HDOP < 3", "of direct signals", "beyond", "published",
-    )  # fmt: skip
-    return heads, rows
-
-
 def _convergence(parts: Sequence[Mapping[str, list[float]]]) -> dict[str, list[float]]:
     """Over the hours: root mean square, largest error, median level, shares, by the minute."""
     table = {key: np.array([part[key] for part in parts]) for key in parts[0]}
@@ -267,30 +230,3 @@ def _convergence(parts: Sequence[Mapping[str, list[float]]]) -> dict[str, list[f
         "ppp": table["ppp"].mean(0).tolist(),
         "beyond": table["beyond"].mean(0).tolist(),
     }
-
-
-def mixed_rows(result: Mapping[str, Any]) -> Table:
-    """How long corrections and corrected positions are available on the mean of all skies, beside S4 Table IV."""
-    printed = {"s4_egnos": "64.8 %", "s4_sisnet": "89.2 %"}
-    rows: list[tuple[str, ...]] = []
-    for case in (case for case in printed if case in result["config"]["cases"]):
-        of = [sky[case] for sky in result["skies"].values()]
-        shares = (f"{100.0 * np.mean([found[key] for found in of]):.1f} %" for key in ("corrected", "available"))
-        rows.append((case, *shares, f"{100.0 * of[-1]['available']:.1f} %", printed[case]))
-    last = result["config"]["skies"][-1]
-    heads = ("case", "corrected, mean of skies", "and a position", f"the same, {last}", "S4, mixed circuit")
-    return heads, rows
-
-
-def convergence_rows(result: Mapping[str, Any]) -> Table:
-    """Error and level of PPP by the time at rest; S2 Table 1: below 0.1 m after up to 30 min."""
-    found, last = result["ppp"], result["config"]["ppp_minutes"]
-    rows: list[tuple[str, ...]] = [
-        (
-            f"{minute}", f"{found['rms_m'][minute - 1]:.3f}", f"{found['largest_m'][minute - 1]:.3f}",
-            f"{found['level_m'][minute - 1]:.2f}", f"{100.0 * found['beyond'][minute - 1]:.1f} %",
-        )
-        for minute in sorted({1, 2, 5, 10, 15, 20, 30, last})
-        if minute <= last
-    ]  # fmt: skip
-    return ("time [min]", "error on an axis, rms [m]", "largest [m]", "median level [m]", "beyond"), rows

@@ -11,14 +11,12 @@ import pytest
 from lanebound.agents.assess.street_drives import navigator_of
 from lanebound.agents.reproduce import service_drives
 from lanebound.agents.reproduce.service_drives import NO_DOP, _arrive, approach, converge, hdop, streets_of
+from lanebound.agents.reproduce.service_tables import convergence_rows, mixed_rows, published_rows, service_rows
 from lanebound.agents.reproduce.services import (
     ServiceStudyConfig,
     _drive,
     _figures,
-    convergence_rows,
-    mixed_rows,
     run_services,
-    service_rows,
     work_street,
 )
 from lanebound.integrity.motion.truth import truth_between
@@ -72,6 +70,13 @@ def test_a_small_study_has_all_its_tables(tmp_path: Path) -> None:
     assert result["skies"]["open"]["s4_egnos"]["hdop_below_3"] > 0.9
     assert [row[0] for row in mixed_rows(result)[1]] == ["s4_egnos", "s4_sisnet"]
     assert [row[0] for row in convergence_rows(result)[1]] == ["1", "2"]
+    lines = {row[0]: row[2:] for row in published_rows(result)[1]}
+    assert lines["s4_egnos, error 50 / 95 %"][0] == "1.9 / 5.2 m, S4"
+    assert float(lines["s4_egnos, error 50 / 95 %"][1].split()[0]) == pytest.approx(
+        result["skies"]["open"]["s4_egnos"]["cep_m"], abs=0.01
+    )
+    assert lines["s4_sisnet, EGNOS available"] == ("89.2 %, S4", mixed_rows(result)[1][1][2])
+    assert "spp, error 50 / 95 %" not in lines  # it was not driven
     assert run_services(config, tmp_path) == result  # resumed: nothing is driven anew
 
 
