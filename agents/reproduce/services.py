@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.agents.checkpointing.files import write_json
@@ -37,7 +38,9 @@ from lanebound.agents.reproduce.service_drives import (
     streets_of,
 )
 from lanebound.agents.reproduce.service_tables import NO_LEVEL_M
+from lanebound.envs.sky import SkyLevel
 from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 
@@ -104,6 +107,15 @@ class ServiceStudyConfig(Config):
         2000.0, ge=500, le=20_000, description="length of a street [m]; vehicles begin all along it"
     )
     first_seed: int = Field(401, ge=0, description="of the drives; nothing was fitted there")
+
+    @model_validator(mode="after")
+    def _cases_and_skies_are_known(self) -> ServiceStudyConfig:
+        unknown = [case for case in self.cases if case not in CASES]
+        if unknown:
+            raise ConfigError(f"cases must be among {', '.join(CASES)}, got {unknown[0]!r}: correct the name")
+        for sky in self.skies:
+            SkyLevel.named(sky)
+        return self
 
     def drives(self) -> StreetDrivesConfig:
         """The streets and their vehicles, with any navigator."""

@@ -19,6 +19,7 @@ from lanebound.agents.reproduce.services import (
     run_services,
     work_street,
 )
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
@@ -78,6 +79,15 @@ def test_a_small_study_has_all_its_tables(tmp_path: Path) -> None:
     assert lines["s4_sisnet, EGNOS available"] == ("89.2 %, S4", mixed_rows(result)[1][1][2])
     assert "spp, error 50 / 95 %" not in lines  # it was not driven
     assert run_services(config, tmp_path) == result  # resumed: nothing is driven anew
+
+
+def test_unknown_cases_and_skies_are_refused_before_a_folder_is_claimed() -> None:
+    with pytest.raises(ConfigError, match=r"cases must be among spp, dgps.*got 'egnos'"):
+        ServiceStudyConfig(cases=("spp", "egnos"))
+    with pytest.raises(ConfigError, match="preset 'village' is unknown"):
+        ServiceStudyConfig(skies=("village",))
+    with pytest.raises(ConfigError, match=r"ppp_hours must lie in \[0, 24\], got 30"):
+        ServiceStudyConfig(ppp_hours=30)
 
 
 def test_an_approach_ends_where_the_street_begins_with_its_speed() -> None:
