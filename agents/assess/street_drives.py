@@ -29,7 +29,17 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
-__all__ = ["DriveMoment", "StreetDrivesConfig", "drive_street", "road_of", "street_of", "work_streets"]
+__all__ = [
+    "DriveMoment",
+    "StreetDrivesConfig",
+    "drive_of",
+    "drive_street",
+    "mask_of",
+    "navigator_of",
+    "road_of",
+    "street_of",
+    "work_streets",
+]
 
 Array = NDArray[np.float64]
 
@@ -122,17 +132,27 @@ def drive_street(config: StreetDrivesConfig, sky: str, number: int, advance: Adv
 
 def street_of(config: StreetDrivesConfig, sky: str, number: int) -> tuple[Navigator, Iterator[Truth]]:
     """The navigator of the vehicles of a street, and their true motion without end."""
+    navigator = navigator_of(config, sky, number, mask_of(config, sky, number))
+    return navigator, drive_of(config, number, navigator.config.dt_s)
+
+
+def mask_of(config: StreetDrivesConfig, sky: str, number: int) -> SkyMask:
+    """What the buildings of a street leave of its sky; it does not depend on the navigator."""
     level, seeds = SkyLevel.named(sky), [config.seed, number]
     road = road_of(config, number)
     city = build_city(road, level.streets_along(2.0 * road.edge_m), named_generator(seeds, "city"))
     facades = clad(city.building, level.material_shares, named_generator(seeds, "facades"))
-    mask = SkyMask.build(
+    return SkyMask.build(
         road, replace(city, material=facades), az_step_deg=AZIMUTH_STEP_DEG, el_step_deg=ELEVATION_STEP_DEG
     )
-    navigator = _navigator(config, sky, number, mask)
-    car, traffic = CityDrive(road, config.drive, navigator.config.dt_s), Streams(_vehicle_seeds(config, number)[:-1])
+
+
+def drive_of(config: StreetDrivesConfig, number: int, dt_s: float) -> Iterator[Truth]:
+    """The true motion of the vehicles of a street without end, under any sky and for any navigator of this epoch."""
+    road = road_of(config, number)
+    car, traffic = CityDrive(road, config.drive, dt_s), Streams(_vehicle_seeds(config, number)[:-1])
     state = car.start(traffic, spread_m=_spread_m(config, road))
-    return navigator, (car.step(state, traffic) for _ in count())
+    return (car.step(state, traffic) for _ in count())
 
 
 def road_of(config: StreetDrivesConfig, number: int) -> Road:
@@ -145,7 +165,7 @@ def _spread_m(config: StreetDrivesConfig, road: Road) -> float:
     return max(road.length_m - config.drive.speed_limit_mps * config.span_s, 0.1 * road.length_m)
 
 
-def _navigator(config: StreetDrivesConfig, sky: str, number: int, mask: SkyMask) -> Navigator:
+def navigator_of(config: StreetDrivesConfig, sky: str, number: int, mask: SkyMask) -> Navigator:
     """The navigator of a street's vehicles."""
     hour = int(named_generator([config.seed, number], "sky").integers(24))
     base = config.navigator_in(sky)

@@ -123,6 +123,7 @@ def services(
     """
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.reproduce import service_tables as tables
     from lanebound.agents.reproduce import services as study
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
@@ -131,10 +132,11 @@ def services(
     if as_json:
         print_json(result)
         return
-    print_table("Services, medians over streets; shares are means", *study.service_rows(result))
-    print_table("EGNOS by its satellites alone and with SISNeT", *study.mixed_rows(result))
+    print_table("Services, medians over streets; shares are means", *tables.service_rows(result))
+    print_table("EGNOS by its satellites alone and with SISNeT", *tables.mixed_rows(result))
     if "ppp" in result:
-        print_table("PPP at rest in the open, by the time since it was switched on", *study.convergence_rows(result))
+        print_table("PPP at rest in the open, by the time since it was switched on", *tables.convergence_rows(result))
+    print_table("The papers line by line", *tables.published_rows(result))
     typer.echo(f"services.json: {out}")
 
 

@@ -8,25 +8,35 @@ while the corrections that the vehicle holds are not older than their time-outs.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
-from itertools import chain
+from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.assess.street_drives import StreetDrivesConfig, street_of
+from lanebound.agents.assess.street_drives import StreetDrivesConfig, drive_of, mask_of, navigator_of
 from lanebound.agents.checkpointing.runner import Advance, ignore
+from lanebound.envs.sky import SkyLevel
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.motion.truth import Truth, truth_between
-from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
+from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, NavigatorState
 from lanebound.integrity.navigators.services.table import declared_of, service_named
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
-__all__ = ["HOURS", "ServiceMoment", "approach", "converge", "drive_service_street", "hdop"]
+__all__ = [
+    "HOURS",
+    "ServiceMoment",
+    "ServiceStreet",
+    "approach",
+    "converge",
+    "drive_service_street",
+    "hdop",
+    "streets_of",
+]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -35,11 +45,12 @@ APPROACH_MPS, BRAKING_S = 10.0, 5.0
 HOUR_S, WEEK_S = 3600, 604_800
 HOURS = 24
 NO_DOP = 1e3
+DOP_EVERY_S = 1.0  # satellites hardly move in a second, and a car passes a few metres
 
 
 class ServiceMoment(NamedTuple):
     """An epoch of B vehicles: error (B, 2) along and across the track [m], solution, HDOP (B,) of what is tracked and
-    of what is in the line of sight, corrected (B,)."""
+    of what is in the line of sight, corrected (B,). HDOP is NaN but once a second."""
 
     error_m: Array
     solution: Solution
@@ -48,38 +59,81 @@ class ServiceMoment(NamedTuple):
     corrected: Bools
 
 
+@dataclass(frozen=True)
+class ServiceStreet:
+    """A street that is built and driven once, for all services that drive there.
+
+    Attributes
+    ----------
+    sky, number : level of the sky, number of the street
+    mask : what its buildings leave of the sky
+    truths : true motion in each epoch, the same under every sky
+    arrived : what vehicles know when they arrive from an open sky, by their configuration and the length of the way;
+        shared by the skies of a number
+    """
+
+    sky: str
+    number: int
+    mask: SkyMask
+    truths: list[Truth]
+    arrived: dict[tuple[NavigatorConfig, float], NavigatorState]
+
+
+def streets_of(config: StreetDrivesConfig, number: int) -> Iterator[ServiceStreet]:
+    """Street ``number`` under each sky."""
+    dt_s = config.navigator.dt_s
+    truths = list(islice(drive_of(config, number, dt_s), round(config.span_s / dt_s)))
+    arrived: dict[tuple[NavigatorConfig, float], NavigatorState] = {}
+    for sky in config.skies:
+        yield ServiceStreet(sky, number, mask_of(config, sky, number), truths, arrived)
+
+
 def drive_service_street(
-    config: StreetDrivesConfig, sky: str, number: int, approach_s: float = 0.0
+    config: StreetDrivesConfig, street: ServiceStreet, approach_s: float = 0.0
 ) -> Iterator[ServiceMoment]:
     """The epochs of a street after the warm-up, for the first service of the navigator.
 
-    ``approach_s``: length of a straight drive under an open sky before the street, in which PPP converges [s].
+    ``config`` is that of the street but for the navigator, which has the same epochs. ``approach_s``: length of a
+    straight drive under an open sky before the street, in which PPP converges [s].
     """
-    navigator, drive = street_of(config, sky, number)
+    longer = config.replace(warm_up_s=config.warm_up_s + approach_s)
+    navigator, truths = navigator_of(longer, street.sky, street.number, street.mask), street.truths
     if approach_s > 0.0:
-        navigator = street_of(config.replace(warm_up_s=config.warm_up_s + approach_s), sky, number)[0]
-        drive = _with_approach(navigator, drive, approach_s)
-    first, epochs = (round(time_s / navigator.config.dt_s) for time_s in (config.warm_up_s, config.span_s))
-    for k, truth in zip(range(epochs), drive, strict=False):
+        _arrive(navigator, longer, street, approach_s)
+        truths = [replace(truth, time_s=truth.time_s + approach_s) for truth in truths]
+    first, sampled = (round(time_s / navigator.config.dt_s) for time_s in (config.warm_up_s, DOP_EVERY_S))
+    missing = np.full(config.vehicles, np.nan)
+    for k, truth in enumerate(truths):
         measured = navigator.measure(truth)
         solution = navigator.locate(measured)
         if k < first:
             continue
-        error = solution.position_en_m - truth.position_enu_m[:, :2]
+        error, every, ours = solution.position_en_m - truth.position_enu_m[:, :2], missing, missing
         turned = np.einsum("bij,bj->bi", track_from_enu_matrix(truth.heading_rad), error)
-        direct = navigator.mask.look(truth.arc_m, truth.lane, measured.sky).path == SignalPath.LOS
-        every, ours = (hdop(navigator.config, measured, among) for among in (np.ones_like(direct), direct))
+        if (k - first) % sampled == 0:
+            direct = navigator.mask.look(truth.arc_m, truth.lane, measured.sky).path == SignalPath.LOS
+            every, ours = (hdop(navigator.config, measured, among) for among in (np.ones_like(direct), direct))
         yield ServiceMoment(turned, solution, every, ours, corrected(navigator.config, measured))
 
 
-def _with_approach(navigator: Navigator, drive: Iterator[Truth], approach_s: float) -> Iterator[Truth]:
-    """The drive after an approach to where it begins, which the navigator drives here under an open sky."""
-    start, street, dt_s = next(drive), navigator.mask, navigator.config.dt_s
-    navigator.mask = SkyMask.open()
-    for truth in approach(start, approach_s, dt_s):
-        navigator.step(truth)
-    navigator.mask = street
-    return (replace(truth, time_s=truth.time_s + approach_s) for truth in chain([start], drive))
+def _arrive(navigator: Navigator, config: StreetDrivesConfig, street: ServiceStreet, approach_s: float) -> None:
+    """Let the vehicles arrive where the drive begins, from an approach under an open sky with an unbroken link.
+
+    The link that they find in the street is that of a vehicle that is switched on there.
+    """
+    fitted = SkyLevel.named(street.sky).navigator(config.navigator)  # with the instruments of the sky
+    afield = config.replace(navigator=fitted.replace(corrections=config.navigator.corrections.to_dict()))
+    key = afield.navigator, approach_s
+    if key not in street.arrived:
+        other = navigator_of(afield, "open", street.number, SkyMask.open())
+        for truth in approach(street.truths[0], approach_s, other.config.dt_s):
+            other.step(truth)
+        street.arrived[key] = other.snapshot()
+    network, links = navigator.state.area.network, navigator.state.corrections
+    navigator.restore(street.arrived[key])
+    state = navigator.state
+    state.area.network = replace(network, epoch=state.area.network.epoch)
+    state.corrections = links
 
 
 def approach(start: Truth, length_s: float, dt_s: float) -> Iterator[Truth]:

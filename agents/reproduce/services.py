@@ -23,29 +23,36 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.agents.reproduce.service_drives import HOURS, NO_DOP, converge, drive_service_street
+from lanebound.agents.reproduce.service_drives import (
+    HOURS,
+    NO_DOP,
+    ServiceStreet,
+    converge,
+    drive_service_street,
+    streets_of,
+)
+from lanebound.agents.reproduce.service_tables import NO_LEVEL_M
+from lanebound.envs.sky import SkyLevel
 from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 
 __all__ = [
     "CASES",
-    "PUBLISHED",
     "ServiceStudyConfig",
-    "convergence_rows",
-    "mixed_rows",
     "run_services",
-    "service_rows",
+    "work_street",
 ]
 
 PACKAGES = ("lanebound.integrity", "lanebound.envs.sky", "lanebound.agents.assess", "lanebound.agents.reproduce")
 NEEDED_M = 1.5  # of the applications, S2 section 8
-NO_LEVEL_M = 1e4
 MURCIA = {"lat_deg": 38.0, "lon_deg": -1.13, "height_m": 50.0, "galileo": 0, "glonass": 0, "beidou": 0, "qzss": 0}
 LOW_COST = {
     "gnss": {
@@ -76,25 +83,11 @@ CASES: dict[str, tuple[str, Mapping[str, Any]]] = {
 }
 """Preset of each case and what differs from it."""
 
-PUBLISHED = {
-    "spp": "1 to 6 m (S2 Table 1)",
-    "dgps": "sub-metre to a few metres (S2 Table 1)",
-    "sbas_l1": "sub-metre to 1.5 m (S2 Table 1); to more than 2 m (S2 6)",
-    "sisnet": "as sbas_l1 (S4 II-A)",
-    "sbas_dfmc": "slightly better than L1; applications 80 % in the open (S2 6)",
-    "ppp": "below 0.1 m after up to 30 min (S2 Table 1); applications nearly always in the open (S2 6)",
-    "rtk": "few cm (S2 Table 1)",
-    "nrtk": "few cm (S2 Table 1)",
-    "s4_gps": "open: CEP 3.2 m, HPE95 8.1 m; HDOP < 3 about 80 % urban, 95 % highway (S4 III-A)",
-    "s4_egnos": "open: CEP 1.9 m, HPE95 5.2 m; available 64.8 % mixed, 60 % city (S4 III-A)",
-    "s4_sisnet": "available 89.2 % mixed (S4 Table IV)",
-}
-
 
 class ServiceStudyConfig(Config):
     """Which services, skies and drives."""
 
-    seeds: int = Field(100, ge=1, le=10_000, description="streets of each sky; each is a part")
+    seeds: int = Field(100, ge=1, le=10_000, description="streets of each sky; a part is one under all skies")
     cases: tuple[str, ...] = Field(tuple(CASES), min_length=1, description="services and receivers")
     skies: tuple[str, ...] = Field(
         ("open", "suburban", "urban", "dense"), min_length=1, description="levels of the sky"
@@ -103,14 +96,38 @@ class ServiceStudyConfig(Config):
     duration_s: float = Field(60.0, gt=0, description="length of a drive after the warm-up [s]")
     warm_up_s: float = Field(20.0, ge=0, description="time before the first epoch that counts [s]")
     ppp_approach_s: float = Field(
-        600.0, ge=0, le=3600, description="drive under an open sky before a street, in which PPP converges [s]"
+        300.0, ge=0, le=3600, description="drive under an open sky before a street, in which PPP converges [s]"
     )
     ppp_hours: int = Field(8, ge=0, le=HOURS, description="hours of the day at which PPP converges; 0: not at all")
     ppp_minutes: int = Field(30, ge=1, le=120, description="time at rest of PPP [min]; S2 Table 1: up to 30")
     geo_reacquire_s: float = Field(
         3.0, ge=0, description="from the end of an obstruction to the next message of a GEO [s]; S4 prints none"
     )
+    street_m: float = Field(
+        2000.0, ge=500, le=20_000, description="length of a street [m]; vehicles begin all along it"
+    )
     first_seed: int = Field(401, ge=0, description="of the drives; nothing was fitted there")
+
+    @model_validator(mode="after")
+    def _cases_and_skies_are_known(self) -> ServiceStudyConfig:
+        unknown = [case for case in self.cases if case not in CASES]
+        if unknown:
+            raise ConfigError(f"cases must be among {', '.join(CASES)}, got {unknown[0]!r}: correct the name")
+        for sky in self.skies:
+            SkyLevel.named(sky)
+        return self
+
+    def drives(self) -> StreetDrivesConfig:
+        """The streets and their vehicles, with any navigator."""
+        return StreetDrivesConfig(
+            skies=self.skies,
+            faults=None,
+            vehicles=self.vehicles,
+            duration_s=self.duration_s,
+            warm_up_s=self.warm_up_s,
+            length_m=self.street_m,
+            seed=self.first_seed,
+        )
 
 
 def run_services(
@@ -124,46 +141,40 @@ def run_services(
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
     ResultFolder(out, "services study", config.to_dict(), code_digest(*PACKAGES)).claim()
-    names = [f"{k}-{n}" for k in range(len(config.skies)) for n in range(config.seeds)]
+    names = [str(number) for number in range(config.seeds)]
     names += [f"ppp-{hour * HOURS // config.ppp_hours}" for hour in range(config.ppp_hours)]
     parts = run_parts(out, names, partial(work_street, config), jobs, on_progress)
     result: dict[str, Any] = {"config": config.to_dict(), "skies": {}}
     alone = [part for name, part in parts.items() if name.startswith("ppp-")]
     if alone:
         result["ppp"] = _convergence(alone)
-    for k, sky in enumerate(config.skies):
-        mine = [part for name, part in parts.items() if name.startswith(f"{k}-")]
-        result["skies"][sky] = {case: _medians([part[case] for part in mine]) for case in config.cases}
+    streets = [part for name, part in parts.items() if not name.startswith("ppp-")]
+    for sky in config.skies:
+        result["skies"][sky] = {case: _medians([part[sky][case] for part in streets]) for case in config.cases}
     write_json(out / "services.json", result)
     return result
 
 
 def work_street(config: ServiceStudyConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
-    """One street with each service in turn, or PPP at one hour; it does not depend on others."""
+    """One street under each sky with each service in turn, or PPP at one hour; it does not depend on others."""
     if name.startswith("ppp-"):
         hour = int(name.removeprefix("ppp-"))
         return converge(config.first_seed, hour, config.vehicles, config.ppp_minutes, advance=advance)
-    sky, number = (int(text) for text in name.split("-"))
-    found = {}
-    for n, case in enumerate(config.cases):
-        found[case] = _drive(config, config.skies[sky], number, case)
-        advance((n + 1) / len(config.cases))
+    found: dict[str, Any] = {sky: {} for sky in config.skies}
+    drives = len(config.skies) * len(config.cases)
+    for k, street in enumerate(streets_of(config.drives(), int(name))):
+        for n, case in enumerate(config.cases):
+            found[street.sky][case] = _drive(config, street, case)
+            advance((k * len(config.cases) + n + 1) / drives)
     return found
 
 
-def _drive(config: ServiceStudyConfig, sky: str, number: int, case: str) -> dict[str, float]:
+def _drive(config: ServiceStudyConfig, street: ServiceStreet, case: str) -> dict[str, float]:
     """Figures of a drive: errors and levels [m], and shares of the epochs."""
     preset, changes = CASES[case]
-    drives = StreetDrivesConfig(
-        skies=(sky,),
-        faults=None,
-        vehicles=config.vehicles,
-        duration_s=config.duration_s,
-        warm_up_s=config.warm_up_s,
-        seed=config.first_seed,
-        navigator=NavigatorConfig.preset(preset)
-        .replace(**changes)
-        .replace(gnss={"augmentation": {"geo_reacquire_s": config.geo_reacquire_s}}),
+    navigator = NavigatorConfig.preset(preset).replace(**changes)
+    drives = config.drives().replace(
+        navigator=navigator.replace(gnss={"augmentation": {"geo_reacquire_s": config.geo_reacquire_s}})
     )
     rows = [
         np.column_stack(
@@ -177,7 +188,7 @@ def _drive(config: ServiceStudyConfig, sky: str, number: int, case: str) -> dict
                 moment.hdop_direct,
             ]
         )
-        for moment in drive_service_street(drives, sky, number, config.ppp_approach_s if case == "ppp" else 0.0)
+        for moment in drive_service_street(drives, street, config.ppp_approach_s if case == "ppp" else 0.0)
     ]
     return _figures(np.concatenate(rows), _mode_of(case))
 
@@ -190,8 +201,10 @@ def _mode_of(case: str) -> Mode:
 
 def _figures(rows: NDArray[np.float64], mode: Mode) -> dict[str, float]:
     """Statistics of epochs (N, 9): horizontal error, errors and levels along and across, mode, HDOP, corrected, HDOP of
-    the line of sight. Epochs without a position have no error; they are not accurate."""
-    error, both, levels, modes, hdop = rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5], rows[:, 6]
+    the line of sight. Epochs without a position have no error; they are not accurate. HDOP is NaN where it is not
+    sampled."""
+    sampled = rows[np.isfinite(rows[:, 6])]
+    error, both, levels, modes, hdop = rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5], sampled[:, 6]
     own, located = modes == int(mode), modes != int(Mode.NONE)
     return {
         "cep_m": float(np.median(error[located])) if located.any() else NO_LEVEL_M,
@@ -205,9 +218,9 @@ def _figures(rows: NDArray[np.float64], mode: Mode) -> dict[str, float]:
         "bounded": float((levels <= NEEDED_M).all(-1).mean()),
         "beyond": float((both > levels).any(-1).mean()),
         "hdop_below_3": float((hdop < 3.0).mean()),
-        "direct_below_3": float((rows[:, 8] < 3.0).mean()),
+        "direct_below_3": float((sampled[:, 8] < 3.0).mean()),
         "corrected": float(rows[:, 7].mean()),
-        "available": float(((rows[:, 7] > 0.0) & (rows[:, 8] < NO_DOP)).mean()),
+        "available": float(((sampled[:, 7] > 0.0) & (sampled[:, 8] < NO_DOP)).mean()),
     }
 
 
@@ -217,35 +230,6 @@ def _medians(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
         "service", "accurate", "bounded", "beyond", "hdop_below_3", "direct_below_3", "corrected", "available"
     )  # fmt: skip
     return {key: float((np.mean if key in shares else np.median)([part[key] for part in parts])) for key in parts[0]}
-
-
-Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
-
-
-def service_rows(result: Mapping[str, Any]) -> Table:
-    """Errors, levels and shares of each case under each sky, with what the papers print."""
-    rows = []
-    for case in result["config"]["cases"]:
-        for sky, found in result["skies"].items():
-            of = found[case]
-            errors, own = (
-                "-" if of[cep] >= NO_LEVEL_M else f"{of[cep]:.2f} / {of[hpe95]:.2f}"
-                for cep, hpe95 in (("cep_m", "hpe95_m"), ("own_cep_m", "own_hpe95_m"))
-            )
-            levels = ["-" if of[key] >= NO_LEVEL_M else f"{of[key]:.1f}" for key in ("pl_at_m", "pl_ct_m")]
-            shown = ("service", "corrected", "accurate", "bounded", "hdop_below_3", "direct_below_3")
-            shares = [f"{100.0 * of[key]:.0f} %" for key in shown]
-            beyond = f"{of['beyond']:.1e}" if of["beyond"] else "0"
-            first = sky == next(iter(result["skies"]))
-            rows.append((
-                case if first else "", sky, errors, own, *levels, *shares, beyond,
-                PUBLISHED[case] if first else "",
-            ))  # fmt: skip
-    heads = (
-        "case", "sky", "CEP / HPE95 [m]", "of its mode [m]", "PL along", "PL across", "of its mode", "corrected",
-        "error < 1.5 m", "levels < 1.5 m", "HDOP < 3", "of direct signals", "beyond", "published",
-    )  # fmt: skip
-    return heads, rows
 
 
 def _convergence(parts: Sequence[Mapping[str, list[float]]]) -> dict[str, list[float]]:
@@ -258,30 +242,3 @@ def _convergence(parts: Sequence[Mapping[str, list[float]]]) -> dict[str, list[f
         "ppp": table["ppp"].mean(0).tolist(),
         "beyond": table["beyond"].mean(0).tolist(),
     }
-
-
-def mixed_rows(result: Mapping[str, Any]) -> Table:
-    """How long corrections and corrected positions are available on the mean of all skies, beside S4 Table IV."""
-    printed = {"s4_egnos": "64.8 %", "s4_sisnet": "89.2 %"}
-    rows: list[tuple[str, ...]] = []
-    for case in (case for case in printed if case in result["config"]["cases"]):
-        of = [sky[case] for sky in result["skies"].values()]
-        shares = (f"{100.0 * np.mean([found[key] for found in of]):.1f} %" for key in ("corrected", "available"))
-        rows.append((case, *shares, f"{100.0 * of[-1]['available']:.1f} %", printed[case]))
-    last = result["config"]["skies"][-1]
-    heads = ("case", "corrected, mean of skies", "and a position", f"the same, {last}", "S4, mixed circuit")
-    return heads, rows
-
-
-def convergence_rows(result: Mapping[str, Any]) -> Table:
-    """Error and level of PPP by the time at rest; S2 Table 1: below 0.1 m after up to 30 min."""
-    found, last = result["ppp"], result["config"]["ppp_minutes"]
-    rows: list[tuple[str, ...]] = [
-        (
-            f"{minute}", f"{found['rms_m'][minute - 1]:.3f}", f"{found['largest_m'][minute - 1]:.3f}",
-            f"{found['level_m'][minute - 1]:.2f}", f"{100.0 * found['beyond'][minute - 1]:.1f} %",
-        )
-        for minute in sorted({1, 2, 5, 10, 15, 20, 30, last})
-        if minute <= last
-    ]  # fmt: skip
-    return ("time [min]", "error on an axis, rms [m]", "largest [m]", "median level [m]", "beyond"), rows

@@ -94,7 +94,7 @@ class MessageConfig(Config):
 
     def corrected(self, system: Ints) -> Bools:
         """Which satellites of these systems the provider corrects."""
-        return np.isin(system, [int(System[name]) for name in self.systems])
+        return _among(self.systems, system.tobytes())
 
 
 class SbasConfig(MessageConfig):
@@ -396,6 +396,12 @@ def corrections_of(
         age_s=age[:, SATELLITE],
         zenith_age_s=age[:, IONOSPHERE],
     )
+
+
+@lru_cache(maxsize=64)
+def _among(names: tuple[str, ...], system: bytes) -> Bools:
+    """Which of these systems (S,) are among the named ones; never written."""
+    return np.isin(np.frombuffer(system, np.int64), [int(System[name]) for name in names])
 
 
 @lru_cache(maxsize=16)

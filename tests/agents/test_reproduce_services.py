@@ -8,20 +8,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lanebound.agents.reproduce.service_drives import NO_DOP, approach, converge, hdop
+from lanebound.agents.assess.street_drives import navigator_of
+from lanebound.agents.reproduce import service_drives
+from lanebound.agents.reproduce.service_drives import NO_DOP, _arrive, approach, converge, hdop, streets_of
+from lanebound.agents.reproduce.service_tables import convergence_rows, mixed_rows, published_rows, service_rows
 from lanebound.agents.reproduce.services import (
     ServiceStudyConfig,
     _drive,
     _figures,
-    convergence_rows,
-    mixed_rows,
     run_services,
-    service_rows,
+    work_street,
 )
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.systems import System
+from lanebound.integrity.sky.visibility import SkyMask
 
 
 def test_hdop_is_that_of_the_systems_of_the_service() -> None:
@@ -68,7 +71,23 @@ def test_a_small_study_has_all_its_tables(tmp_path: Path) -> None:
     assert result["skies"]["open"]["s4_egnos"]["hdop_below_3"] > 0.9
     assert [row[0] for row in mixed_rows(result)[1]] == ["s4_egnos", "s4_sisnet"]
     assert [row[0] for row in convergence_rows(result)[1]] == ["1", "2"]
+    lines = {row[0]: row[2:] for row in published_rows(result)[1]}
+    assert lines["s4_egnos, error 50 / 95 %"][0] == "1.9 / 5.2 m, S4"
+    assert float(lines["s4_egnos, error 50 / 95 %"][1].split()[0]) == pytest.approx(
+        result["skies"]["open"]["s4_egnos"]["cep_m"], abs=0.01
+    )
+    assert lines["s4_sisnet, EGNOS available"] == ("89.2 %, S4", mixed_rows(result)[1][1][2])
+    assert "spp, error 50 / 95 %" not in lines  # it was not driven
     assert run_services(config, tmp_path) == result  # resumed: nothing is driven anew
+
+
+def test_unknown_cases_and_skies_are_refused_before_a_folder_is_claimed() -> None:
+    with pytest.raises(ConfigError, match=r"cases must be among spp, dgps.*got 'egnos'"):
+        ServiceStudyConfig(cases=("spp", "egnos"))
+    with pytest.raises(ConfigError, match="preset 'village' is unknown"):
+        ServiceStudyConfig(skies=("village",))
+    with pytest.raises(ConfigError, match=r"ppp_hours must lie in \[0, 24\], got 30"):
+        ServiceStudyConfig(ppp_hours=30)
 
 
 def test_an_approach_ends_where_the_street_begins_with_its_speed() -> None:
@@ -88,8 +107,44 @@ def test_ppp_enters_a_street_converged() -> None:
     config = ServiceStudyConfig(
         seeds=1, cases=("ppp",), skies=("open",), vehicles=2, duration_s=2.0, warm_up_s=1.0, ppp_approach_s=60.0
     )
-    assert _drive(config, "open", 0, "ppp")["cep_m"] < 0.5
-    assert _drive(config, "open", 0, "ppp")["service"] == 1.0
+    (street,) = streets_of(config.drives(), 0)
+    found = _drive(config, street, "ppp")
+    assert found["cep_m"] < 0.5
+    assert found["service"] == 1.0
+
+
+def test_a_street_is_built_once_and_the_approach_is_driven_once_for_skies_of_the_same_instruments(monkeypatch) -> None:
+    built, driven, small = [], [], SkyMask.build
+    monkeypatch.setattr(SkyMask, "build", lambda *a, **k: built.append(1) or small(*a, **k))
+    monkeypatch.setattr(
+        service_drives, "approach", lambda *a: driven.append(1) or approach(*a)
+    )  # of a way in the open, before the street
+    config = ServiceStudyConfig(
+        seeds=1, cases=("spp", "ppp"), skies=("suburban", "urban", "dense"), vehicles=2, duration_s=1.0, warm_up_s=1.0,
+        ppp_approach_s=20.0, street_m=500.0,
+    )  # fmt: skip
+    together = work_street(config, "0")
+    assert len(built) == 3
+    assert len(driven) == 2  # urban and dense have the same instruments
+    alone = work_street(config.replace(skies=("dense",)), "0")
+    assert alone["dense"] == together["dense"]  # what a drive finds depends on no other
+
+
+def test_vehicles_arrive_with_what_they_know_of_the_open_and_find_the_link_of_the_street() -> None:
+    config = ServiceStudyConfig(vehicles=3, duration_s=1.0, warm_up_s=1.0, street_m=500.0, skies=("dense",))
+    drives = config.drives().replace(navigator=NavigatorConfig.preset("services/ppp"))
+    (street,) = streets_of(drives, 5)
+    longer = drives.replace(warm_up_s=41.0)
+    fresh, arrived = (navigator_of(longer, "dense", 5, street.mask) for _ in range(2))
+    _arrive(arrived, longer, street, 40.0)
+    ours, theirs = arrived.state, fresh.state
+    np.testing.assert_array_equal(ours.corrections.links, theirs.corrections.links)
+    for name in ("up", "outage_left", "until", "begun"):
+        np.testing.assert_array_equal(getattr(ours.area.network, name), getattr(theirs.area.network, name))
+    assert ours.area.network.epoch == 400
+    assert (ours.extensions["hatch ppp"]["count"].max(-1) > 350).all()  # ambiguities of the open sky
+    off = ours.belief.vehicles["position"] - (street.truths[0].position_enu_m - 0.1 * street.truths[0].velocity_enu_mps)
+    assert np.abs(off[:, :2]).max() < 3.0
 
 
 def test_ppp_gets_better_with_time_and_its_levels_hold() -> None:
