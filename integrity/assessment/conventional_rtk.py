@@ -21,7 +21,14 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.positioning.ambiguity import resolve
 from lanebound.integrity.sky.systems import FIXABLE
 
-__all__ = ["ConventionalRtkConfig", "ConventionalSolution", "RtkOutcome", "code_position", "solve_epoch", "usable_signals"]
+__all__ = [
+    "ConventionalRtkConfig",
+    "ConventionalSolution",
+    "RtkOutcome",
+    "code_position",
+    "solve_epoch",
+    "usable_signals",
+]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

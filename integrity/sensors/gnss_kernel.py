@@ -194,9 +194,9 @@ class Receivers(NamedTuple):
     """B receivers in A areas, A is 1 or B.
 
     rules (1,) of GNSS_RULES; signals (B, S) of SIGNAL; vehicles (B,) of RECEIVER; normals (B, S) of NORMALS, uniforms
-    (B, S) of UNIFORMS, clock_normals (B, 2) and near_normals (B, S) of NEAR, the draws of the epoch; held (B, S) of STATION, the message held; area
-    (A, S) of SLOW; station_clock (A, 2) its offset [m] and drift [m/s]; reference (A, 3) error of its coordinates [m];
-    work of arrivals.
+    (B, S) of UNIFORMS, clock_normals (B, 2) and near_normals (B, S) of NEAR, the draws of the epoch; held (B, S) of
+    STATION, the message held; area (A, S) of SLOW; station_clock (A, 2) its offset [m] and drift [m/s]; reference
+    (A, 3) error of its coordinates [m]; work of arrivals.
     """
 
     rules: Records

@@ -24,16 +24,14 @@ def series(count: int, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0), n
         moved = -(first.los @ (0.2 * k * np.array(velocity)))[:, None]
         code, phase = rng.standard_normal((2, 16, 2))
         out.append(
-            first._replace(
-                code=first.code + moved + 100.0 * sigma * code, phase=first.phase + moved + sigma * phase
-            )
+            first._replace(code=first.code + moved + 100.0 * sigma * code, phase=first.phase + moved + sigma * phase)
         )
     return out
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_without_memory_it_is_the_single_epoch_solution(seed: int) -> None:
-    """Priors of 30 m weigh 1e-3 of the codes: the float agrees to millimetres, the ratio to a tenth, the fix exactly."""
+    """Priors of 30 m weigh 1e-3 of the codes: floats agree to millimetres, ratios to a tenth, the outcome is the same."""
     s = signals(seed)
     alone = solve_epoch(CONFIG, s)
     found = KinematicFilter(EPOCH, CONFIG, 16).step(s, NONE_LOST, 0.2)
