@@ -31,7 +31,7 @@ def series(count: int, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0), n
 
 @pytest.mark.parametrize("seed", range(8))
 def test_without_memory_it_is_the_single_epoch_solution(seed: int) -> None:
-    """Priors of 30 m weigh 1e-3 of the codes: floats agree to millimetres, ratios to a tenth, the outcome is the same."""
+    """Priors of 30 m weigh 1e-3 of the codes: floats agree to millimetres, ratios to a tenth."""
     s = signals(seed)
     alone = solve_epoch(CONFIG, s)
     found = KinematicFilter(EPOCH, CONFIG, 16).step(s, NONE_LOST, 0.2)
