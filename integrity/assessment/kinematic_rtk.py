@@ -177,16 +177,20 @@ class KinematicFilter:
         if not rows.y.size:
             return
         own, reference = self._slots(rows)
-        spread = self._p[:, :3] @ rows.design.T
+        live = np.r_[:MOTION, MOTION + np.flatnonzero(self._known)]
+        design = np.zeros((rows.y.size, live.size))
+        design[:, :3] = rows.design
         if phase:
-            spread += self._p[:, own] - self._p[:, reference]
-        projected = rows.design @ spread[:3]
-        if phase:
-            projected += spread[own] - spread[reference]
-        gain = np.linalg.solve(projected + rows.covariance, spread.T).T
-        self._x += gain @ self._innovation(rows, phase)
-        self._p -= gain @ spread.T
-        self._p = 0.5 * (self._p + self._p.T)
+            row = np.arange(rows.y.size)
+            design[row, np.searchsorted(live, own)] = 1.0
+            design[row, np.searchsorted(live, reference)] = -1.0
+        block = np.ix_(live, live)
+        before = self._p[block]
+        spread = before @ design.T
+        gain = np.linalg.solve(design @ spread + rows.covariance, spread.T).T
+        self._x[live] += gain @ self._innovation(rows, phase)
+        after = before - gain @ spread.T
+        self._p[block] = 0.5 * (after + after.T)
 
     def _fix(self, rows: DifferenceRows) -> tuple[Array, float]:
         """Position with the best integers, and the ratio; 0 without phases or without a proven search."""
