@@ -11,7 +11,8 @@ from scipy.stats import chi2, norm
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch
-from tests.integrity.sensors.test_gnss import DT, ELEVATION_DEG, N_SAT, PERFECT, _Receiver, _truth
+from lanebound.integrity.sky.visibility import SignalPath
+from tests.integrity.sensors.test_gnss import DT, ELEVATION_DEG, N_SAT, PERFECT, _Receiver, _reception, _truth
 
 SMALL = {"kind": "vehicle", "phase_m": 0.003, "code_m": 0.1}
 ROOT = np.sqrt(0.5 * (1.0 + 1.0 / np.sin(np.radians(ELEVATION_DEG)) ** 2))
@@ -69,6 +70,17 @@ def test_the_doppler_is_the_change_of_the_first_carrier(speed: float) -> None:
         assert np.abs(rate).max() > 1e-4
         np.testing.assert_allclose(rate, (phase - before)[..., 0] / DT, atol=1e-7)
         before = phase
+
+
+def test_a_recorded_sky_plays_it_too() -> None:
+    """Its receptions have a late path without a face; near objects add the same to them as to direct signals."""
+    direct = added(stepped(pair(2)))
+    receivers = pair(2)
+    late = _reception(2, SignalPath.REFLECTED, 12.0)
+    epochs = stepped(receivers, reception=late)
+    assert epochs[0].tracked.all()
+    np.testing.assert_allclose(added(epochs)[0], direct[0], atol=1e-9)
+    assert np.abs(direct[0]).min() > 0.0
 
 
 def test_errors_have_their_sizes_over_elevation() -> None:
