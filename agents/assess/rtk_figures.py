@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.assessment.availability import find_outages
 from lanebound.integrity.assessment.conventional_rtk import RtkOutcome
 
-__all__ = ["WRONG_M", "figures", "rtk_rows", "sky_rows", "within_runs", "without_offsets"]
+__all__ = ["WRONG_M", "changes", "figures", "rtk_rows", "sky_rows", "without_offsets"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -22,7 +22,7 @@ Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 WRONG_M = 0.5  # horizontal error of a fixed position that is called wrong
 QUANTILES = (0.5, 0.9, 0.95)
 MOVING_MPS = 0.5
-RUN_S = 2.0  # shortest run of fixes whose errors are compared with their median
+CHANGE_S = 1.0  # over which errors of fixed positions are compared
 ROUNDS, LEAST_LENGTH_M = 30, 1e-3  # of re-weighting
 
 
@@ -33,8 +33,7 @@ def figures(
 
     Shares are of all epochs, ``satellites.share`` is the median number over the greatest one. Errors are horizontal;
     those of fixed positions also without what a recording adds: their median vector, which comes from the coordinates
-    of its base; with it an offset that turns with the vehicle, of its lever arm (:func:`without_offsets`); and the
-    median vector of each run of fixes.
+    of its base; and with it an offset that turns with the vehicle, of its lever arm (:func:`without_offsets`).
     """
     fixed, floated = outcome == RtkOutcome.FIXED, outcome == RtkOutcome.FLOAT
     outages = find_outages(fixed, time_s).length_s
@@ -55,7 +54,7 @@ def figures(
         "fixed_error_m": _quantiles(error_m[fixed]),
         "fixed_spread_m": _quantiles(np.hypot(*(error_en_m[fixed] - centre).T)),
         "fixed_mounted_m": _quantiles(without_offsets(error_en_m[fixed], heading_rad[fixed])),
-        "fixed_run_m": _quantiles(within_runs(time_s, fixed, error_en_m)),
+        "fixed_change_m": _quantiles(changes(time_s, fixed, error_en_m)),
         "float_error_m": _quantiles(error_m[floated]),
         "outage_s": {
             "count": int(outages.size),
@@ -84,16 +83,19 @@ def without_offsets(error_en_m: Array, heading_rad: Array) -> Array:
     return np.asarray(left)
 
 
-def within_runs(time_s: Array, fixed: Bools, error_en_m: Array) -> Array:
-    """Length (n,) of the errors in each run of fixes of at least RUN_S, less their median vector there [m]."""
-    found = [np.zeros(0)]
-    for v in range(fixed.shape[1]):
-        edges = np.flatnonzero(np.diff(np.r_[False, fixed[:, v], False].astype(np.int8)))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            if time_s[end - 1] - time_s[begin] >= RUN_S:
-                run = error_en_m[begin:end, v]
-                found.append(np.hypot(*(run - np.median(run, 0)).T))
-    return np.concatenate(found)
+def changes(time_s: Array, fixed: Bools, error_en_m: Array) -> Array:
+    """Length (n,) of the change of the error over CHANGE_S, between epochs fixed throughout [m].
+
+    Offsets of base and lever arm are not in it, but for turns; noise is, and what multipath changes in a second.
+    """
+    step = max(round(CHANGE_S / float(np.median(np.diff(time_s)))), 1) if len(time_s) > 1 else 1
+    if len(time_s) <= step:
+        return np.zeros(0)
+    whole = np.abs(time_s[step:] - time_s[:-step] - CHANGE_S) < 0.5 * CHANGE_S / step
+    count = np.cumsum(np.concatenate([np.zeros((1, fixed.shape[1])), fixed]), 0)
+    throughout = (count[step + 1 :] - count[: -step - 1] == step + 1) & whole[:, None]
+    change = error_en_m[step:] - error_en_m[:-step]
+    return np.asarray(np.hypot(change[..., 0], change[..., 1])[throughout])
 
 
 def _quantiles(values: Array) -> list[float] | None:
@@ -108,7 +110,7 @@ ERRORS = {
     "fixed_error_m": "error of fixed positions",
     "fixed_spread_m": "the same less their median vector",
     "fixed_mounted_m": "the same less offsets of ground and vehicle",
-    "fixed_run_m": "the same within a run of fixes",
+    "fixed_change_m": "its change over 1 s of fixes",
     "float_error_m": "error of float positions",
 }
 ROWS: dict[str, tuple[str, str, Callable[[Mapping[str, Any]], float | None]]] = {

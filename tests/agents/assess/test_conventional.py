@@ -111,15 +111,18 @@ def test_an_offset_of_the_vehicle_turns_with_it() -> None:
     assert tables.without_offsets(error, np.full(400, np.nan)).size == 0
 
 
-def test_errors_within_runs_of_fixes() -> None:
-    """Two runs with offsets of their own; one of them is too short to count."""
-    fixed = np.array([True] * 15 + [False] + [True] * 5)[:, None]
-    error = np.zeros((21, 1, 2))
-    error[:15, 0, 0], error[3, 0, 0], error[16:, 0, 1] = 2.0, 2.5, 9.0
-    left = tables.within_runs(0.2 * np.arange(21.0), fixed, error)
-    assert left.size == 15
-    assert left.max() == pytest.approx(0.5)
-    assert np.count_nonzero(left) == 1
+def test_changes_of_the_error_between_fixes() -> None:
+    """Epochs 0.2 s apart: six pairs are 1 s apart, of which the gap of a fix takes five; so does one of the clock."""
+    fixed, time = np.ones((11, 1), bool), 0.2 * np.arange(11.0)
+    error = np.zeros((11, 1, 2))
+    error[:, 0, 0], error[10, 0, 1] = 7.0, 0.3
+    found = tables.changes(time, fixed, error)
+    assert found.size == 6
+    np.testing.assert_allclose(np.sort(found), [0.0] * 5 + [0.3])
+    fixed[5] = False
+    assert tables.changes(time, fixed, error).size == 0
+    fixed[5], time[5:] = True, time[5:] + 9.0
+    assert tables.changes(time, fixed, error).size == 1
 
 
 def test_a_folder_without_a_drive_is_refused(tmp_path: Path) -> None:
