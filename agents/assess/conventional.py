@@ -128,7 +128,9 @@ def work_street(config: RtkRealismConfig, sky: str, number: int, advance: Advanc
     dt = navigator.config.dt_s
     first, epochs = (round(time_s / dt) for time_s in (config.warm_up_s, config.span_s))
     every, solved = max(round(EVERY_S / dt), 1), []
-    receivers = Receivers(config, config.vehicles, len(navigator.track.system), navigator.config.gnss.bands, every * dt)
+    receivers = ConventionalReceivers(
+        config, config.vehicles, len(navigator.track.system), navigator.config.gnss.bands, every * dt
+    )
     counted = {"epochs": 0, "rtk": 0, "beyond": 0, "beyond_rtk": 0, "wrong_rtk": 0}
     for k, truth in zip(range(epochs), drive, strict=False):
         m = navigator.measure(truth)
@@ -155,7 +157,7 @@ def work_street(config: RtkRealismConfig, sky: str, number: int, advance: Advanc
     return {"navigator": counted} | {key: table[..., i].tolist() for i, key in enumerate(names)}
 
 
-class Receivers:
+class ConventionalReceivers:
     """The conventional receivers of B vehicles, which solve an epoch every ``every_s`` [s]."""
 
     def __init__(

@@ -79,7 +79,7 @@ def test_both_solutions_are_of_the_same_measurements() -> None:
     for _, truth in zip(range(150), drive, strict=False):
         m = navigator.measure(truth)
         s = navigator.locate(m)
-    receivers = rtk.Receivers(config, config.vehicles, len(navigator.track.system), (0, 1), 0.2)
+    receivers = rtk.ConventionalReceivers(config, config.vehicles, len(navigator.track.system), (0, 1), 0.2)
     outcome, east, north, satellites = receivers.solve(m, truth.position_enu_m).T
     assert (outcome == 1).all()
     assert np.hypot(east, north).max() < 0.1
