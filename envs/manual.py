@@ -76,6 +76,9 @@ Half of the missing RTK comes from buildings, half from the link. UrbanCanyon ha
 sets their heights. A `.yaml` file of your own may start with `extends: skies/urban`. A recorded sky is a `.csv` file of
 `lanebound record-sky`, with the link and the sensors of `urban`; its predicted satellites are exact.
 
+`navigator: {gnss: {near_objects: {kind: vehicle}}}` adds multipath of the car's roof and of what is beside it to the
+signals of all vehicles, under every sky; by default there is none ([signals](results/signals.md#near-objects)).
+
 ## Perception
 
 `perception.source` selects how the car knows other vehicles.

@@ -2,32 +2,34 @@
 
 The recorded drive is a solution of RTKLIB with its reference trajectory; its observations are not needed. The simulated
 receivers drive through streets of several skies, without faults and with a steady link. One observation of each epoch
-feeds both the conventional solution, single-epoch RTK with a ratio test and no bound of its risk, and the navigator.
+feeds both the conventional solution, RTK of a single epoch or of a Kalman filter with a ratio test and no bound of its
+risk, and the navigator.
 The sky whose share of usable satellites comes nearest to the recorded one is compared with the drive.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.assess.in_the_loop import rate_by_street
+from lanebound.agents.assess.rtk_figures import WRONG_M, figures
 from lanebound.agents.assess.street_drives import PACKAGES, StreetDrivesConfig, street_of, work_streets
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
-from lanebound.integrity.assessment.availability import find_outages
 from lanebound.integrity.assessment.conventional_rtk import (
     ConventionalRtkConfig,
+    ConventionalSolution,
     RtkOutcome,
-    RtkSignals,
     solve_epoch,
 )
+from lanebound.integrity.assessment.double_differences import RtkSignals
+from lanebound.integrity.assessment.kinematic_rtk import KinematicConfig, KinematicFilter
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
@@ -37,7 +39,7 @@ from lanebound.integrity.recorded.rtklib import FIXED, FLOAT, read_reference, re
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
-__all__ = ["RtkRealismConfig", "assess_rtk", "navigator_rows", "rtk_rows", "sky_rows", "work_street"]
+__all__ = ["RtkRealismConfig", "assess_rtk", "navigator_rows", "work_street"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -46,9 +48,6 @@ Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 SOLUTION, REFERENCE = "rover_rtk.pos", "reference.csv"  # files of the folder, as in nagoya_drive_rtk
 EVERY_S = 0.2  # between epochs of the conventional solution, as recorded
 MATCHED_S = 0.02  # largest time between a solution and its reference
-WRONG_M = 0.5  # horizontal error of a fixed position that is called wrong
-QUANTILES = (0.5, 0.9, 0.95)
-MOVING_MPS = 0.5
 
 
 class RtkRealismConfig(StreetDrivesConfig):
@@ -61,7 +60,11 @@ class RtkRealismConfig(StreetDrivesConfig):
     vehicles: int = Field(8, ge=1, le=4096, description="vehicles in a street; they share its city and its satellites")
     faults: str | None = Field(None, description="preset of fault rates")
     baseline_km: float = Field(9.4, ge=0, description="distance to the reference station [km]; nagoya_drive_rtk")
+    receiver: Literal["epoch", "filtered"] = Field(
+        "epoch", description="conventional solution: of each epoch alone, or of a Kalman filter (``kinematic``)"
+    )
     solution: ConventionalRtkConfig = ConventionalRtkConfig()
+    kinematic: KinematicConfig = KinematicConfig()
 
     def navigator_in(self, sky: str) -> NavigatorConfig:
         """The navigator of a sky with this baseline and a link without outages: recorded data have all messages."""
@@ -115,7 +118,8 @@ def recorded_figures(folder: Path) -> dict[str, Any]:
     outcome = np.select([quality == FIXED, quality == FLOAT], [int(RtkOutcome.FIXED), int(RtkOutcome.FLOAT)], 0)
     speed = np.linalg.norm(np.gradient(truth.position_ecef_m, truth.tow_s, axis=0), axis=-1)
     satellites = np.where(known, solution.satellites[at], 0)
-    return figures(truth.tow_s, outcome[:, None], off[:, None, :2], satellites[:, None], speed[:, None])
+    heading = truth.heading_rad[:, None]
+    return figures(truth.tow_s, outcome[:, None], off[:, None, :2], satellites[:, None], speed[:, None], heading)
 
 
 def work_street(config: RtkRealismConfig, sky: str, number: int, advance: Advance = ignore) -> dict[str, Any]:
@@ -124,10 +128,15 @@ def work_street(config: RtkRealismConfig, sky: str, number: int, advance: Advanc
     dt = navigator.config.dt_s
     first, epochs = (round(time_s / dt) for time_s in (config.warm_up_s, config.span_s))
     every, solved = max(round(EVERY_S / dt), 1), []
+    receivers = ConventionalReceivers(
+        config, config.vehicles, len(navigator.track.system), navigator.config.gnss.bands, every * dt
+    )
     counted = {"epochs": 0, "rtk": 0, "beyond": 0, "beyond_rtk": 0, "wrong_rtk": 0}
     for k, truth in zip(range(epochs), drive, strict=False):
         m = navigator.measure(truth)
         s = navigator.locate(m)
+        receivers.notice(m)
+        found = receivers.solve(m, truth.position_enu_m) if k % every == 0 else None
         advance((k + 1) / epochs)
         if k < first:
             continue
@@ -140,40 +149,60 @@ def work_street(config: RtkRealismConfig, sky: str, number: int, advance: Advanc
             ("wrong_rtk", wrong),
         ):  # fmt: skip
             counted[key] += int(which.sum())
-        if k % every == 0:
+        if found is not None:
             speed = np.linalg.norm(truth.velocity_enu_mps, axis=-1)
-            solved.append(
-                np.column_stack(
-                    [_conventional(config.solution, navigator.config.gnss.bands, m, truth.position_enu_m), speed]
-                )
-            )
+            solved.append(np.column_stack([found, speed, truth.heading_rad]))
     table = np.round(np.stack(solved), 4)
-    names = "outcome", "error_east_m", "error_north_m", "satellites", "speed_mps"
+    names = "outcome", "error_east_m", "error_north_m", "satellites", "speed_mps", "heading_rad"
     return {"navigator": counted} | {key: table[..., i].tolist() for i, key in enumerate(names)}
 
 
-def _conventional(config: ConventionalRtkConfig, bands: tuple[int, ...], m: Measurements, position_m: Array) -> Array:
-    """Outcome, error East and North [m] and number of satellites of each vehicle, (B, 4)."""
+class ConventionalReceivers:
+    """The conventional receivers of B vehicles, which solve an epoch every ``every_s`` [s]."""
+
+    def __init__(
+        self, config: RtkRealismConfig, vehicles: int, satellites: int, bands: tuple[int, ...], every_s: float
+    ) -> None:
+        self._solution, self._bands, self._every_s = config.solution, list(bands), every_s
+        self._lost = np.zeros((vehicles, satellites), np.bool_)
+        self._filters = [
+            KinematicFilter(config.kinematic, config.solution, satellites, len(bands))
+            for _ in range(vehicles if config.receiver == "filtered" else 0)
+        ]
+
+    def notice(self, m: Measurements) -> None:
+        """Keep the losses of lock of an epoch for the next solution."""
+        self._lost |= m.gnss.lock_lost
+
+    def solve(self, m: Measurements, position_m: Array) -> Array:
+        """Outcome, error East and North [m] and number of satellites of each vehicle, (B, 4)."""
+        rows = []
+        for v, at in enumerate(m.sky.index):
+            found = self._solve(v, _signals(m, v, int(at), self._bands))
+            rows.append((int(found.outcome), *(found.position_m[:2] - position_m[v, :2]), found.satellites))
+        self._lost[:] = False
+        return np.array(rows, dtype=np.float64)
+
+    def _solve(self, v: int, signals: RtkSignals) -> ConventionalSolution:
+        if self._filters:
+            return self._filters[v].step(signals, self._lost[v], self._every_s)
+        return solve_epoch(self._solution, signals)
+
+
+def _signals(m: Measurements, v: int, at: int, bands: list[int]) -> RtkSignals:
+    """The signals of a vehicle, whose sky is row ``at``."""
     sky, g, width = m.sky, m.gnss, len(bands)
-    rows = []
-    for v, at in enumerate(sky.index):
-        found = solve_epoch(
-            config,
-            RtkSignals(
-                sky.los_enu[at], sky.elevation_rad[at], sky.system, g.cn0_dbhz[v], g.tracked[v],
-                g.code_m[v, :, : width], g.phase_m[v, :, : width], WAVELENGTH_M[sky.system][:, list(bands)],
-            ),
-        )  # fmt: skip
-        off = found.position_m[:2] - position_m[v, :2]
-        rows.append((int(found.outcome), *off, found.satellites))
-    return np.array(rows, dtype=np.float64)
+    return RtkSignals(
+        sky.los_enu[at], sky.elevation_rad[at], sky.system, g.cn0_dbhz[v], g.tracked[v], g.code_m[v, :, :width],
+        g.phase_m[v, :, :width], WAVELENGTH_M[sky.system][:, bands],
+    )  # fmt: skip
 
 
 def simulated_figures(streets: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The figures of all vehicles of a sky together, and those of the navigator."""
-    outcome, east, north, satellites, speed = (
+    outcome, east, north, satellites, speed, heading = (
         np.concatenate([np.asarray(street[key], dtype=np.float64) for street in streets], 1)
-        for key in ("outcome", "error_east_m", "error_north_m", "satellites", "speed_mps")
+        for key in ("outcome", "error_east_m", "error_north_m", "satellites", "speed_mps", "heading_rad")
     )
     found = figures(
         EVERY_S * np.arange(len(outcome), dtype=np.float64),
@@ -181,6 +210,7 @@ def simulated_figures(streets: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         np.stack([east, north], -1),
         satellites,
         speed,
+        heading,
     )
     counts = {key: np.array([street["navigator"][key] for street in streets]) for key in streets[0]["navigator"]}
     return found | {
@@ -192,95 +222,6 @@ def simulated_figures(streets: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "beyond_rtk": rate_by_street(counts["beyond_rtk"], counts["rtk"]),
         }
     }
-
-
-def figures(time_s: Array, outcome: Ints, error_en_m: Array, satellites: Array, speed_mps: Array) -> dict[str, Any]:
-    """What describes solutions of B vehicles at T epochs, all (T, B) but the time, and the errors, (T, B, 2).
-
-    Shares are of all epochs, ``satellites.share`` is the median number over the greatest one. Errors are horizontal;
-    those of fixed positions also without their median vector, which a recording has from the coordinates of its base.
-    """
-    fixed, floated = outcome == RtkOutcome.FIXED, outcome == RtkOutcome.FLOAT
-    outages = find_outages(fixed, time_s).length_s
-    most = float(satellites.max())
-    error_m = np.hypot(error_en_m[..., 0], error_en_m[..., 1])
-    centre = np.median(error_en_m[fixed], 0) if fixed.any() else np.zeros(2)
-    low, middle, high = np.quantile(satellites, (0.1, 0.5, 0.9))
-    wrong, count = int((error_m[fixed] > WRONG_M).sum()), int(fixed.sum())
-    return {
-        "epochs": int(outcome.size),
-        "vehicles": int(outcome.shape[1]),
-        "moving": float((speed_mps > MOVING_MPS).mean()),
-        "satellites": {"low": float(low), "median": float(middle), "high": float(high), "most": most,
-                       "share": float(middle / most) if most else 0.0},
-        "fixed": float(fixed.mean()),
-        "float": float(floated.mean()),
-        "wrong": wrong / count if count else None,
-        "fixed_error_m": _quantiles(error_m[fixed]),
-        "fixed_spread_m": _quantiles(np.hypot(*(error_en_m[fixed] - centre).T)),
-        "float_error_m": _quantiles(error_m[floated]),
-        "outage_s": {
-            "count": int(outages.size),
-            "median": float(np.median(outages)) if outages.size else None,
-            "high": float(np.quantile(outages, 0.9)) if outages.size else None,
-            "longest": float(outages.max()) if outages.size else None,
-        },
-    }  # fmt: skip
-
-
-def _quantiles(values: Array) -> list[float] | None:
-    return [float(q) for q in np.quantile(values, QUANTILES)] if values.size else None
-
-
-def _quantile(found: Mapping[str, Any], key: str, index: int) -> float | None:
-    return found[key] and float(found[key][index])
-
-
-ERRORS = {
-    "fixed_error_m": "error of fixed positions",
-    "fixed_spread_m": "the same less their median vector",
-    "float_error_m": "error of float positions",
-}
-ROWS: dict[str, tuple[str, str, Callable[[Mapping[str, Any]], float | None]]] = {
-    "fixed": ("fixed, share of epochs", "%", lambda f: f["fixed"]),
-    "float": ("float, share of epochs", "%", lambda f: f["float"]),
-    "wrong": (f"fixed more than {WRONG_M:g} m off, share of fixed", "%", lambda f: f["wrong"]),
-    **{
-        f"{key} {q:g}": (f"{text}, {100 * q:g} %", "m", partial(_quantile, key=key, index=i))
-        for key, text in ERRORS.items()
-        for i, q in enumerate(QUANTILES)
-    },
-    "outage median": ("time without a fix, median", "s", lambda f: f["outage_s"]["median"]),
-    "outage 90": ("time without a fix, 90 %", "s", lambda f: f["outage_s"]["high"]),
-    "outage longest": ("time without a fix, longest", "s", lambda f: f["outage_s"]["longest"]),
-}  # fmt: skip
-"""Quantities that are compared: text, unit, and how they follow from figures."""
-
-
-def rtk_rows(result: Mapping[str, Any]) -> Table:
-    """Each quantity of the recorded drive and of the sky that comes nearest, with the factor between them."""
-    recorded, simulated, rows = result["recorded"], result["skies"][result["nearest"]], []
-    for text, unit, get in ROWS.values():
-        pair = get(recorded), get(simulated)
-        factor = pair[1] / pair[0] if pair[0] and pair[1] is not None else None
-        within = "" if factor is None else "yes" if 0.5 <= factor <= 2.0 else "no"
-        cells = ["-" if v is None else f"{100.0 * v:.1f} %" if unit == "%" else f"{v:.3g} {unit}" for v in pair]
-        rows.append((text, *cells, "-" if factor is None else f"{factor:.2g}", within))
-    return ("quantity", "recorded", result["nearest"], "factor", "within 2"), rows
-
-
-def sky_rows(result: Mapping[str, Any]) -> Table:
-    """Usable satellites, share of them, and failures of the recorded drive and of every sky."""
-    rows: list[tuple[str, ...]] = []
-    for name, f in ({"recorded": result["recorded"]} | result["skies"]).items():
-        s = f["satellites"]
-        wrong = "-" if f["wrong"] is None else f"{100.0 * f['wrong']:.1f} %"
-        rows.append((
-            name, f"{f['epochs']:,}", f"{100.0 * f['moving']:.0f} %",
-            f"{s['median']:.0f} ({s['low']:.0f} to {s['high']:.0f}) of {s['most']:.0f}", f"{s['share']:.2f}",
-            f"{100.0 * f['fixed']:.1f} %", wrong,
-        ))  # fmt: skip
-    return ("sky", "epochs", "moving", "satellites (10 to 90 %)", "share", "fixed", "wrong of fixed"), rows
 
 
 def navigator_rows(result: Mapping[str, Any]) -> Table:

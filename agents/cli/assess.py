@@ -148,15 +148,17 @@ def rtk(
 ) -> None:
     """Conventional RTK on simulated signals beside a recorded drive, and the navigator on the same signals.
 
+    Keys for --set: receiver=filtered for a Kalman filter in place of single epochs, kinematic.*, solution.*,
+    navigator.*; skies, vehicles, baseline_km.
+
     Example: lanebound assess rtk drives/nagoya --out out/rtk --jobs 2
     """
     from lanebound.agents.assess.conventional import (
         RtkRealismConfig,
         assess_rtk,
         navigator_rows,
-        rtk_rows,
-        sky_rows,
     )
+    from lanebound.agents.assess.rtk_figures import rtk_rows, sky_rows
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 

@@ -18,7 +18,7 @@ __all__ = ["CrewStreams"]
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 COMMON = ("atmosphere", "station", "network", "broadcast", "augmentation")  # shared by the vehicles of an environment
-BY_SATELLITE = ("gnss", "atmosphere", "station", "broadcast", "augmentation")
+BY_SATELLITE = ("gnss", "near_objects", "atmosphere", "station", "broadcast", "augmentation")
 ALSO_OTHERS = ("station", "broadcast", "augmentation")  # from which an area draws other numbers as well, of one axis
 
 

@@ -12,16 +12,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.assessment.double_differences import DifferenceRows, RtkSignals, double_differences
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.positioning.ambiguity import resolve
 from lanebound.integrity.sky.systems import FIXABLE
 
-__all__ = ["ConventionalRtkConfig", "ConventionalSolution", "RtkOutcome", "RtkSignals", "solve_epoch"]
+__all__ = [
+    "ConventionalRtkConfig",
+    "ConventionalSolution",
+    "RtkOutcome",
+    "code_position",
+    "solve_epoch",
+    "usable_signals",
+]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -53,21 +60,6 @@ class RtkOutcome(IntEnum):
     FLOAT = 2
 
 
-class RtkSignals(NamedTuple):
-    """Signals of S satellites at a vehicle: los (S, 3) unit vectors, elevation (S,) [rad], system (S,), cn0 (S,)
-    [dB-Hz], tracked (S,), code and phase (S, F) single differences of F = 1 or 2 bands [m], 0 for none, wavelength
-    (S, F) [m]."""
-
-    los: Array
-    elevation: Array
-    system: Ints
-    cn0: Array
-    tracked: Bools
-    code: Array
-    phase: Array
-    wavelength: Array
-
-
 @dataclass(frozen=True)
 class ConventionalSolution:
     """Outcome, position (3,) [m] (the float one unless fixed), ratio [-] and satellites of an epoch."""
@@ -78,29 +70,16 @@ class ConventionalSolution:
     satellites: int
 
 
-class _DifferenceRows(NamedTuple):
-    """Double differences: design (m, 3), y (m,) [m], covariance (m, m) [m^2], satellite (m,), wavelength (m,) [m]."""
-
-    design: Array
-    y: Array
-    covariance: Array
-    satellite: Ints
-    wavelength: Array
-
-
 def solve_epoch(config: ConventionalRtkConfig, signals: RtkSignals) -> ConventionalSolution:
     """Solve one epoch; without four satellites, or with a singular geometry, the outcome is NONE."""
     s = signals
-    high = s.tracked & (s.elevation >= np.deg2rad(config.elevation_mask_deg))
-    strong = high[:, None] & (s.cn0[:, None] >= np.asarray(config.cn0_min_dbhz)[: s.code.shape[1]])
-    usable = strong & (s.code != 0.0)
-    variance = 2.0 * config.phase_sigma_m**2 * (1.0 + 1.0 / np.sin(np.maximum(s.elevation, 0.01)) ** 2)
-    found = _by_code(config, s, usable, config.code_ratio**2 * variance)
+    usable, variance = usable_signals(config, s)
+    found = code_position(config, s, usable, config.code_ratio**2 * variance)
     if found is None:
         return ConventionalSolution(RtkOutcome.NONE, np.zeros(UNKNOWNS), 0.0, int(usable.any(1).sum()))
     position, cofactor, usable = found
     count = int(usable.any(1).sum())
-    phases = _differences(s, s.phase, usable & (s.phase != 0.0) & FIXABLE[s.system][:, None], variance)
+    phases = double_differences(s, s.phase, usable & (s.phase != 0.0) & FIXABLE[s.system][:, None], variance)
     if not phases.y.size:
         return ConventionalSolution(RtkOutcome.FLOAT, position, 0.0, count)
     fixed, ratio = _fix(phases, position, cofactor)
@@ -109,13 +88,21 @@ def solve_epoch(config: ConventionalRtkConfig, signals: RtkSignals) -> Conventio
     return ConventionalSolution(RtkOutcome.FIXED, fixed, ratio, count)
 
 
-def _by_code(
+def usable_signals(config: ConventionalRtkConfig, s: RtkSignals) -> tuple[Bools, Array]:
+    """Signals (S, F) that pass the masks, and the variance (S,) of the single difference of a phase [m^2]."""
+    high = s.tracked & (s.elevation >= np.deg2rad(config.elevation_mask_deg))
+    strong = high[:, None] & (s.cn0[:, None] >= np.asarray(config.cn0_min_dbhz)[: s.code.shape[1]])
+    variance = 2.0 * config.phase_sigma_m**2 * (1.0 + 1.0 / np.sin(np.maximum(s.elevation, 0.01)) ** 2)
+    return strong & (s.code != 0.0), variance
+
+
+def code_position(
     config: ConventionalRtkConfig, s: RtkSignals, usable: Bools, variance: Array
 ) -> tuple[Array, Array, Bools] | None:
     """Position (3,) by code, its covariance, and the signals left; the worst satellite goes while it is far off."""
     usable = usable.copy()
     while usable.any(1).sum() > UNKNOWNS:
-        rows = _differences(s, s.code, usable, variance)
+        rows = double_differences(s, s.code, usable, variance)
         if rows.y.size < UNKNOWNS:
             return None
         weight = np.linalg.inv(rows.covariance)
@@ -131,41 +118,7 @@ def _by_code(
     return None
 
 
-def _differences(s: RtkSignals, values: Array, usable: Bools, variance: Array) -> _DifferenceRows:
-    """Double differences of each system and band against its highest satellite."""
-    parts: list[tuple[Array, Array, Array, Ints, Array]] = []
-    for band in range(values.shape[1]):
-        for system in np.unique(s.system[usable[:, band]]):
-            own = np.flatnonzero(usable[:, band] & (s.system == system))
-            if own.size < 2:
-                continue
-            top = own[np.argmax(s.elevation[own])]
-            rest = own[own != top]
-            parts.append((
-                s.los[top] - s.los[rest], values[rest, band] - values[top, band],
-                np.diag(variance[rest]) + variance[top], rest, s.wavelength[rest, band],
-            ))  # fmt: skip
-    if not parts:
-        return _DifferenceRows(
-            np.zeros((0, UNKNOWNS)), np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.int64), np.zeros(0)
-        )
-    design, y, blocks, satellite, wavelength = zip(*parts, strict=True)
-    return _DifferenceRows(
-        np.concatenate(design), np.concatenate(y), _block_diagonal(blocks), np.concatenate(satellite),
-        np.concatenate(wavelength),
-    )  # fmt: skip
-
-
-def _block_diagonal(blocks: tuple[Array, ...]) -> Array:
-    size, at = sum(len(block) for block in blocks), 0
-    out = np.zeros((size, size))
-    for block in blocks:
-        out[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
-    return out
-
-
-def _fix(rows: _DifferenceRows, position: Array, cofactor: Array) -> tuple[Array, float]:
+def _fix(rows: DifferenceRows, position: Array, cofactor: Array) -> tuple[Array, float]:
     """Position with the best integers, and the ratio of the second best norm to theirs; 0 without a proven search."""
     scale = 1.0 / rows.wavelength
     floated = scale * (rows.y - rows.design @ position)

@@ -2,11 +2,12 @@
 
 RTKLIB (``.pos``, lines ``week tow latitude longitude height quality satellites ... age ratio``, comments begin with
 ``%``; RTKLIB manual 2.4.2, section B.1). The reference is a table with a header, as in the MatRTKLIB examples: columns
-``GPS TOW (s)``, ``ECEF X (m)``, ``ECEF Y (m)`` and ``ECEF Z (m)`` among others.
+``GPS TOW (s)``, ``ECEF X (m)``, ``ECEF Y (m)`` and ``ECEF Z (m)`` among others, and ``Heading (deg)`` if known.
 """
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ POSITION_COLUMNS = (
 REFERENCE_COLUMNS = {
     "GPS TOW (s)": (0.0, 604_800.0), "ECEF X (m)": (-1e8, 1e8), "ECEF Y (m)": (-1e8, 1e8), "ECEF Z (m)": (-1e8, 1e8),
 }  # fmt: skip
+HEADING_COLUMN, HEADINGS = "Heading (deg)", (-360.0, 360.0)
 
 
 @dataclass(frozen=True)
@@ -53,10 +55,12 @@ class RtkSolution:
 
 @dataclass(frozen=True)
 class ReferenceTrack:
-    """True positions: time of week (K,) [s], position (K, 3) ECEF [m]; ``stopped`` as of a solution."""
+    """True positions: time of week (K,) [s], position (K, 3) ECEF [m], heading (K,) [rad], NaN where the file has none;
+    ``stopped`` as of a solution."""
 
     tow_s: Array
     position_ecef_m: Array
+    heading_rad: Array
     stopped: Stop | None
 
 
@@ -87,20 +91,21 @@ def read_reference(path: str | Path) -> ReferenceTrack:
         if not index:
             index.extend(_positions(words, path))
             return []
-        bounds = zip(index, REFERENCE_COLUMNS.items(), strict=True)
-        return [_cell(words, k, name, low, high) for k, (name, (low, high)) in bounds]
+        bounds = zip(index, (REFERENCE_COLUMNS | {HEADING_COLUMN: HEADINGS}).items(), strict=True)
+        return [math.nan if k < 0 else _cell(words, k, name, low, high) for k, (name, (low, high)) in bounds]
 
     rows, stop = _rows(path, row, ",")
-    return ReferenceTrack(rows[:, 0], rows[:, 1:], stop)
+    return ReferenceTrack(rows[:, 0], rows[:, 1:4], np.radians(rows[:, 4]), stop)
 
 
 def _positions(heads: list[str], path: str | Path) -> list[int]:
-    """Index of each column of a reference."""
+    """Index of each column of a reference; -1 for a heading that it lacks."""
     names = [head.strip() for head in heads]
     for wanted in REFERENCE_COLUMNS:
         if wanted not in names:
             raise InputError(f"{path}, line 1 must name a column '{wanted}', got none: is it a reference trajectory?")
-    return [names.index(wanted) for wanted in REFERENCE_COLUMNS]
+    heading = names.index(HEADING_COLUMN) if HEADING_COLUMN in names else -1
+    return [*(names.index(wanted) for wanted in REFERENCE_COLUMNS), heading]
 
 
 def _cell(words: list[str], index: int, name: str, low: float, high: float) -> float:

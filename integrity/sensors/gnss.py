@@ -25,6 +25,8 @@ from lanebound.integrity.sensors.broadcast import BroadcastConfig, BroadcastStat
 from lanebound.integrity.sensors.clock import OCXO_H0, OCXO_HM2, TCXO_H0, TCXO_HM2, clock_gains
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.multipath_kernel import ARRIVAL, MOST_ARRIVALS
+from lanebound.integrity.sensors.near_objects import NearObjectsConfig, near_rules
+from lanebound.integrity.sensors.near_objects_kernel import NEAR
 from lanebound.integrity.sky.materials import material_table, permittivities
 from lanebound.integrity.sky.systems import CHIP_M, N_SYSTEMS, WAVELENGTH_M
 from lanebound.integrity.sky.view import SkyView
@@ -211,6 +213,9 @@ class GnssConfig(Config):
     )
     broadcast: BroadcastConfig = Field(BroadcastConfig(), description="their errors after broadcast corrections")
     augmentation: AugmentationConfig = Field(AugmentationConfig(), description="providers of corrections for services")
+    near_objects: NearObjectsConfig = Field(
+        NearObjectsConfig(), description="multipath of the vehicle's roof and what is beside it"
+    )
 
     @field_validator("bands")
     @classmethod
@@ -281,6 +286,7 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
         dispersion=dispersion,
         chip=chip,
         paths=_path_parameters(c, dt_s),
+        near=near_rules(c.near_objects, dt_s),
         **c.station_parts,
     )
 
@@ -330,6 +336,8 @@ def initial_state(config: GnssConfig, sky: SkyView, streams: Streams) -> GnssSta
     signals["rate"] = z[..., 4]
     signals["ambiguity"] = 2.0 * np.floor(1000.0 * z[..., 5:])
     signals["tracked"]["arrival"] = NOTHING
+    if config.near_objects.fitted:
+        signals["near"] = near_draws(streams, n_sat)
     vehicles, clock = np.zeros(streams.batch, gk.RECEIVER), streams.normal("clock", N_SYSTEMS * 2 * gk.BANDS + 1)
     delays = config.clock_m * clock[:, :-1].reshape(-1, N_SYSTEMS, 2 * gk.BANDS)
     vehicles["code_delay"], vehicles["phase_delay"] = delays[..., : gk.BANDS], delays[..., gk.BANDS :]
@@ -360,7 +368,8 @@ def observe(
     message : (B, S) of STATION, the station's own errors in these data
     area : what this epoch brings to all receivers of an area
 
-    The number of draws from streams "gnss" and "clock" is fixed; it does not depend on the satellites in view.
+    The number of draws from streams "gnss", "clock" and "near_objects" is fixed; it does not depend on the satellites
+    in view.
 
     Raises
     ------
@@ -383,8 +392,9 @@ def observe(
         gnss_parameters(config, truth.dt_s), state.signals, state.vehicles,
         streams.normal("gnss", n_sat, gk.NORMALS.itemsize // 8).view(gk.NORMALS)[..., 0],
         streams.uniform("gnss", n_sat, gk.UNIFORMS.itemsize // 8).view(gk.UNIFORMS)[..., 0],
-        streams.normal("clock", 2), message, area.memory, area.clock, area.reference_enu_m,
-        blank_work(batch),
+        streams.normal("clock", 2),
+        near_draws(streams, n_sat) if config.near_objects.fitted else np.zeros((batch, n_sat), NEAR),
+        message, area.memory, area.clock, area.reference_enu_m, blank_work(batch),
     )  # fmt: skip
     out = blank_gnss(batch, n_sat)
     out.age[:] = age_s
@@ -426,6 +436,11 @@ def undifferenced(
     phase = epoch.phase_m + alike[..., None] - iono + root * of_phase
     there = epoch.tracked[..., None] & (np.arange(gk.BANDS) < r["bands"])
     return replace(epoch, raw_code_m=np.where(there, code, 0.0), raw_phase_m=np.where(epoch.phase_m != 0.0, phase, 0.0))
+
+
+def near_draws(streams: Streams, satellites: int) -> Records:
+    """Standard normals of near objects, (B, S) of NEAR."""
+    return streams.normal("near_objects", satellites, NEAR.itemsize // 8).view(NEAR)[..., 0]
 
 
 def blank_work(batch: int) -> SignalWork:

@@ -22,6 +22,7 @@ from lanebound.integrity.sensors.arrival_kernel import (
     find_arrivals,
     track,
 )
+from lanebound.integrity.sensors.near_objects_kernel import NEAR, NEAR_RULES, advance_near
 from lanebound.integrity.sky.raytrace_kernel import BLOCKED, LOS, REFLECTED
 from lanebound.integrity.sky.systems_kernel import N_SYSTEMS
 
@@ -90,6 +91,7 @@ GNSS_RULES = record(
     dispersion=("f8", (N_SYSTEMS, BANDS), "ionospheric delay, first band = 1 [-]"),
     chip=("f8", (N_SYSTEMS, BANDS), "length of a chip [m]"),
     paths=(PATH_RULES, "figures of propagation and loops"),
+    near=(NEAR_RULES, "figures of near objects"),
 )
 """Figures of :class:`~lanebound.integrity.sensors.gnss.GnssConfig`."""
 
@@ -103,6 +105,7 @@ SIGNAL = record(
     half_cycle_s="time for which a half cycle is in doubt [s]",
     ambiguity=("f8", (BANDS,), "half cycles, by band"),
     tracked=(TRACKED, "the arrival that is tracked"),
+    near=(NEAR, "multipath of near objects"),
 )
 """What lasts of a satellite's signal from epoch to epoch."""
 
@@ -191,9 +194,9 @@ class Receivers(NamedTuple):
     """B receivers in A areas, A is 1 or B.
 
     rules (1,) of GNSS_RULES; signals (B, S) of SIGNAL; vehicles (B,) of RECEIVER; normals (B, S) of NORMALS, uniforms
-    (B, S) of UNIFORMS and clock_normals (B, 2), the draws of the epoch; held (B, S) of STATION, the message held; area
-    (A, S) of SLOW; station_clock (A, 2) its offset [m] and drift [m/s]; reference (A, 3) error of its coordinates [m];
-    work of arrivals.
+    (B, S) of UNIFORMS, clock_normals (B, 2) and near_normals (B, S) of NEAR, the draws of the epoch; held (B, S) of
+    STATION, the message held; area (A, S) of SLOW; station_clock (A, 2) its offset [m] and drift [m/s]; reference
+    (A, 3) error of its coordinates [m]; work of arrivals.
     """
 
     rules: Records
@@ -202,6 +205,7 @@ class Receivers(NamedTuple):
     normals: Records
     uniforms: Records
     clock_normals: Array
+    near_normals: Records
     held: Records
     area: Records
     station_clock: Array
@@ -467,10 +471,13 @@ def observe_vehicle(v, reception, receivers, sky, truth, effects, out):  # type:
             signal.ambiguity[b] += 2.0 * effects.slips[v, s, b]
         has_code, has_phase, lost = follow(rules, clear_level + fade, received, locked, uniform, signal)
         out.lock_lost[v, s] = lost
+        slant = 1.0 / u
+        if rules.near.fitted:
+            root, normals = math.sqrt(0.5 * (1.0 + slant * slant)), receivers.near_normals[v, s]
+            late_rate += advance_near(rules.near, speed, root, normals, signal.near, work.code[v], work.carrier[v])
         if not has_code:
             continue
         out.tracked[v, s], out.cn0[v, s] = True, level
-        slant = 1.0 / u
         power, clear = noise_power(slant, level)
         multipath = own_part(rules.code_multipath, rules.station_code_multipath, power, clear) * signal.code_multipath
         code_error = multipath + effects.code_bias[v, s]

@@ -36,6 +36,7 @@ from lanebound.integrity.sensors.gnss import (
     gnss_epoch,
     gnss_parameters,
     motion_rows,
+    near_draws,
     undifferenced,
 )
 from lanebound.integrity.sensors.gnss_kernel import NORMALS, UNIFORMS, Receivers
@@ -48,6 +49,7 @@ from lanebound.integrity.sensors.instruments_kernel import (
     draw,
     sense,
 )
+from lanebound.integrity.sensors.near_objects_kernel import NEAR
 from lanebound.integrity.sensors.odometer import (
     OdometerConfig,
     OdometerSample,
@@ -199,13 +201,15 @@ class Instruments:
         rows.receivers.clock_normals[:] = streams.normal("clock", 2)
         draws.gnss_normals[:] = streams.normal("gnss", satellites, NORMALS.itemsize // 8).reshape(batch, -1)
         draws.gnss_uniforms[:] = streams.uniform("gnss", satellites, UNIFORMS.itemsize // 8).reshape(batch, -1)
+        if self.gnss.near_objects.fitted:
+            rows.receivers.near_normals[:] = near_draws(streams, satellites)
         rows.imu.normals[:] = streams.normal("imu", 2, 3, 5)
         rows.odometer.normals[:] = streams.normal("odometer", 1)
 
     def _rows(self, s: InstrumentState, mask: SkyMask) -> InstrumentRows:
         """The states as the kernel takes them."""
         batch, satellites = s.gnss.signals.shape
-        normals, uniforms = (np.zeros((batch, satellites), kind) for kind in (NORMALS, UNIFORMS))
+        normals, uniforms, near = (np.zeros((batch, satellites), kind) for kind in (NORMALS, UNIFORMS, NEAR))
         imu_normals, signals, states = np.empty((batch, 2, 3, 5)), s.area.signals, _states_of(s.streams)
         uniform, normal = np.empty((2, batch, 1))
         return InstrumentRows(
@@ -217,8 +221,10 @@ class Instruments:
                 corrections=states("corrections") if self.corrections.outage_per_h > 0.0 else NO_STATES,
                 imu=states("imu"),
                 odometer=states("odometer"),
+                near_objects=states("near_objects") if self.gnss.near_objects.fitted else NO_STATES,
                 gnss_normals=flat(normals),
                 gnss_uniforms=flat(uniforms),
+                near_normals=flat(near),
                 imu_normals=imu_normals.reshape(batch, -1),
             ),
             mask=mask.rows,
@@ -228,7 +234,7 @@ class Instruments:
                 normal,
             ),
             receivers=Receivers(
-                self.gnss_rules, s.gnss.signals, s.gnss.vehicles, normals, uniforms, np.empty((batch, 2)),
+                self.gnss_rules, s.gnss.signals, s.gnss.vehicles, normals, uniforms, np.empty((batch, 2)), near,
                 s.corrections.held, signals.memory, signals.clock, signals.reference_enu_m, blank_work(batch),
             ),
             imu=ImuRows(self.imu_rules, s.imu.axes, s.imu.moving_bias_radps, np.zeros(batch), imu_normals),

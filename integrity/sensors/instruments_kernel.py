@@ -34,8 +34,8 @@ class Draws(NamedTuple):
     """Generators of B vehicles (B, 4), or one for all (1, 4), and the draws of the receiver as flat arrays.
 
     table of :func:`~lanebound.integrity.core.streams_kernel.fill`; places (B, S) of the satellites to draw for, (0, 0)
-    for all; gnss_normals (B, 10 S), gnss_uniforms (B, 2 S), imu_normals (B, 30): the same memory as the draws of the
-    receivers and of the inertial sensors.
+    for all; gnss_normals (B, 10 S), gnss_uniforms (B, 2 S), near_normals (B, 4 S), imu_normals (B, 30): the same memory
+    as the draws of the receivers and of the inertial sensors.
     """
 
     table: Array
@@ -45,8 +45,10 @@ class Draws(NamedTuple):
     corrections: Words
     imu: Words
     odometer: Words
+    near_objects: Words
     gnss_normals: Array
     gnss_uniforms: Array
+    near_normals: Array
     imu_normals: Array
 
 
@@ -84,6 +86,8 @@ def draw_rows(first, last, rows):  # type: ignore[no-untyped-def]
     draw_normals(first, last, draws.clock, draws.table, rows.receivers.clock_normals)
     draw_normals_at(first, last, draws.gnss, draws.places, draws.table, draws.gnss_normals)
     draw_uniforms_at(first, last, draws.gnss, draws.places, draws.gnss_uniforms)
+    if rows.receivers.rules[0].near.fitted:
+        draw_normals_at(first, last, draws.near_objects, draws.places, draws.table, draws.near_normals)
     draw_normals(first, last, draws.imu, draws.table, draws.imu_normals)
     draw_normals(first, last, draws.odometer, draws.table, rows.odometer.normals)
 

@@ -26,6 +26,7 @@ CITY: dict[str, Any] = {
 }
 TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
 SEQUENTIAL: dict[str, Any] = {"navigator": {"positioning": {"rtk": {"float_solution": {"kind": "sequential"}}}}}
+NEAR: dict[str, Any] = {"navigator": {"gnss": {"near_objects": {"kind": "vehicle"}}}}
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
 CASES: list[tuple[str, dict[str, Any], int]] = [
     ("LaneKeeping", {"sky": "dense", "layouts": 2}, 25),
@@ -41,6 +42,8 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("UrbanCanyon", {**CITY, **BOTH}, 6),
     ("LaneKeeping", {"sky": "urban", "layouts": 2, "navigator": "services/rtk_dfmc"}, 15),
     ("CarFollowing", {"sky": "open", "navigator": "services/sbas_l1"}, 8),
+    ("CarFollowing", {"sky": "open", **NEAR}, 8),
+    ("Highway", {**FEW, **SENSOR, **NEAR}, 5),
 ]
 
 

@@ -8,30 +8,12 @@ import pytest
 from lanebound.integrity.assessment.conventional_rtk import (
     ConventionalRtkConfig,
     RtkOutcome,
-    RtkSignals,
-    _by_code,
+    code_position,
     solve_epoch,
 )
-from lanebound.integrity.sky.systems import WAVELENGTH_M, System
+from tests.helpers.rtk_signals import TRUE_M, signals
 
-TRUE_M = np.array([12.3, -45.6, 1.5])
 CONFIG = ConventionalRtkConfig()
-
-
-def signals(seed: int = 1, noise: float = 1.0, satellites: int = 16) -> RtkSignals:
-    """GPS and Galileo in all directions above 32 degrees; errors of RTKLIB's sigmas times ``noise``."""
-    rng = np.random.default_rng(seed)
-    azimuth = np.linspace(0.0, 4.0 * np.pi, satellites, endpoint=False) + 0.1
-    elevation = np.radians(np.linspace(32.0, 80.0, satellites))
-    e = np.stack([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)], -1)
-    system = np.where(np.arange(satellites) % 2, int(System.GALILEO), int(System.GPS))
-    wave = WAVELENGTH_M[system][:, :2]
-    sigma = noise * np.sqrt(2.0) * 0.003 * np.sqrt(1.0 + 1.0 / np.sin(elevation) ** 2)[:, None]
-    clock = rng.normal(0.0, 100.0, (2, 5, 2))
-    code = -(e @ TRUE_M)[:, None] + clock[0][system] + 100.0 * sigma * rng.standard_normal((satellites, 2))
-    integers = rng.integers(-1000, 1000, (satellites, 2))
-    phase = -(e @ TRUE_M)[:, None] + clock[1][system] + wave * integers + sigma * rng.standard_normal((satellites, 2))
-    return RtkSignals(e, elevation, system, np.full(satellites, 45.0), np.ones(satellites, bool), code, phase, wave)
 
 
 def test_good_signals_are_fixed_to_millimetres() -> None:
@@ -54,17 +36,17 @@ def test_a_ratio_below_the_threshold_leaves_the_position_of_the_codes() -> None:
     assert found.outcome == RtkOutcome.FLOAT
     usable = np.ones((16, 2), bool)
     variance = 1e4 * 2.0 * 0.003**2 * (1.0 + 1.0 / np.sin(s.elevation) ** 2)
-    by_code = _by_code(CONFIG, s, usable, variance)
+    by_code = code_position(CONFIG, s, usable, variance)
     assert by_code is not None
     np.testing.assert_allclose(found.position_m, by_code[0])
     assert 0.02 < np.abs(found.position_m - TRUE_M).max() < 3.0
 
 
-def test_the_covariance_by_code_is_that_of_its_errors() -> None:
+def test_the_covariancecode_position_is_that_of_its_errors() -> None:
     drawn = [solve_epoch(CONFIG.replace(ratio_min=1e9), signals(seed)).position_m - TRUE_M for seed in range(400)]
     s = signals()
     variance = 1e4 * 2.0 * 0.003**2 * (1.0 + 1.0 / np.sin(s.elevation) ** 2)
-    found = _by_code(CONFIG, s, np.ones((16, 2), bool), variance)
+    found = code_position(CONFIG, s, np.ones((16, 2), bool), variance)
     assert found is not None
     np.testing.assert_allclose(np.std(drawn, 0), np.sqrt(np.diag(found[1])), rtol=0.12)  # 3 sigma of 400 draws: 0.11
 

@@ -36,6 +36,9 @@ def test_a_small_reference_is_sorted_by_time(tmp_path: Path) -> None:
     found = read_reference(written(tmp_path, "\n".join([head, *reversed(rows)]) + "\n"))
     assert found.tow_s.tolist() == [194670.0, 194670.2]
     np.testing.assert_allclose(found.position_ecef_m[0], [-3810228.582, 3567868.547, 3652903.300])
+    assert np.isnan(found.heading_rad).all()
+    headed = read_reference(written(tmp_path, RTK_REFERENCE.replace("Roll", "Heading")))
+    np.testing.assert_allclose(np.degrees(headed.heading_rad), [0.329, 0.331])
 
 
 @pytest.mark.parametrize(
