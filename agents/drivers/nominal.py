@@ -35,7 +35,7 @@ class Nominal(Plan):
         super().__init__(env, config)
         self.mobil = MobilConfig() if mobil is None else mobil
         levels = () if isinstance(env.action_space, spaces.Box) else env.world.action_type.target_speeds
-        self._levels = np.sort(np.asarray(levels, dtype=np.float64))
+        self._targets_mps = np.sort(np.asarray(levels, dtype=np.float64))
         starts = {"accelerate_mps2": META_MPS2, "response_s": META_S} if len(levels) else {}
         self.giving_way = YieldConfig(**{"accelerate_mps2": config.accelerate_mps2, **starts})
         if self.reader.previews_m:
@@ -54,9 +54,9 @@ class Nominal(Plan):
 
     def _reached(self, wanted_mps: Array) -> Array:
         """The speed that is driven where one is wanted: by meta-actions the next target speed below."""
-        if not self._levels.size:
+        if not self._targets_mps.size:
             return wanted_mps
-        return self._levels[np.maximum(np.searchsorted(self._levels, wanted_mps + 1e-6, side="right") - 1, 0)]
+        return self._targets_mps[np.maximum(np.searchsorted(self._targets_mps, wanted_mps + 1e-6, side="right") - 1, 0)]
 
     def free_speed(self, observation: Observation) -> Array:
         """Speed without other vehicles [m/s]."""
