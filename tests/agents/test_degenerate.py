@@ -1,4 +1,4 @@
-"""No policy without sense does well beside integrity_aware; Intersection has a weaker test of its own."""
+"""No policy without sense does well beside integrity_aware; Intersection is named in docs/limits.md."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ def test_a_success_within_the_limit_needs_both(success: bool, cost: float, found
         ("Merge", 16, 10_000),
         ("Roundabout", 24, 14_000),
         ("Racetrack", 4, 10_000),
+        pytest.param("Intersection", 32, 24_000, marks=pytest.mark.xfail(strict=True, reason="see docs/limits.md")),
     ],
 )
 def test_no_policy_without_sense_outdoes_a_sound_driver(name: str, episodes: int, seed: int) -> None:
