@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation
+from lanebound.agents.drivers.crossing import crosses
 from lanebound.agents.drivers.margins import Rss, RssConfig
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_out
 from lanebound.agents.drivers.plans import following_acceleration, nearest_ahead
@@ -40,6 +41,9 @@ class AwareConfig(RssConfig):
         None,
         gt=0,
         description="PL_CT under an alert from which the car stops at once; None: it stops by time alone",
+    )
+    crossing_ct_m: float = Field(
+        2.0, ge=0, description="PL_CT below which it does not stop where vehicles cross its way; half a lane"
     )
     grace_s: float = Field(8.0, ge=0, description="longer by this where the open sky is reached within it; chosen")
     link_s: float = Field(1.0, gt=0, description="the same where the sky is open and the link is out; chosen")
@@ -126,7 +130,9 @@ class IntegrityAware(Rss):
         out_s = self._open(observation) / slow_mps
         reaches = ~enough & (out_s <= c.grace_s) & (since <= c.dead_reckoning_s + c.grace_s)
         late = np.where(unlinked & enough, since > c.link_s, (since > c.dead_reckoning_s) & ~reaches)
-        return late if c.stop_ct_m is None else late | (value(observation, "integrity.pl_ct") >= c.stop_ct_m)
+        level = value(observation, "integrity.pl_ct")
+        late &= (level >= c.crossing_ct_m) | ~crosses(self.reader, observation, self.giving_way)
+        return late if c.stop_ct_m is None else late | (level >= c.stop_ct_m)
 
     def _open(self, observation: Observation) -> Array:
         """Distance to where two points in a row have enough satellites [m]; far without any."""

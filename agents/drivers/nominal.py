@@ -22,8 +22,8 @@ from lanebound.integrity.core.errors import InputError
 __all__ = ["Nominal", "make_nominal", "make_oracle"]
 
 Array = NDArray[np.float64]
-META_MPS2 = 2.0
-"""Acceleration from rest by meta-actions: highway-env's controller covers the first 10 m in 3.1 s."""
+META_MPS2, META_S = 3.0, 0.25
+"""Acceleration and response by which meta-actions start: highway-env's control covers 8.6 m in 2.5 s, 20 m in 4.5 s."""
 
 
 class Nominal(Plan):
@@ -35,9 +35,9 @@ class Nominal(Plan):
         super().__init__(env, config)
         self.mobil = MobilConfig() if mobil is None else mobil
         levels = () if isinstance(env.action_space, spaces.Box) else env.world.action_type.target_speeds
-        self._fastest = max(map(float, levels), default=np.inf)
-        pace = META_MPS2 if len(levels) else config.accelerate_mps2
-        self.giving_way = YieldConfig(accelerate_mps2=pace)
+        self._targets_mps = np.sort(np.asarray(levels, dtype=np.float64))
+        starts = {"accelerate_mps2": META_MPS2, "response_s": META_S} if len(levels) else {}
+        self.giving_way = YieldConfig(**{"accelerate_mps2": config.accelerate_mps2, **starts})
         if self.reader.previews_m:
             law = LqrSteering(env, self.reader)
             self.steering = PassingSteering(law, self.reader, config) if _cannot_slow(env) else law
@@ -48,9 +48,15 @@ class Nominal(Plan):
 
     def giving(self, observation: Observation, free_mps: Array) -> Array:
         """A free speed, reduced for giving way [m/s]."""
-        top = np.minimum(free_mps, self._fastest)
+        top = self._reached(free_mps)
         cap = yield_speed(self.reader, observation, self.giving_way, top, self.widening(observation))
         return np.minimum(free_mps, cap)
+
+    def _reached(self, wanted_mps: Array) -> Array:
+        """The speed that is driven where one is wanted: by meta-actions the next target speed below."""
+        if not self._targets_mps.size:
+            return wanted_mps
+        return self._targets_mps[np.maximum(np.searchsorted(self._targets_mps, wanted_mps + 1e-6, side="right") - 1, 0)]
 
     def free_speed(self, observation: Observation) -> Array:
         """Speed without other vehicles [m/s]."""

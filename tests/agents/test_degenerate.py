@@ -37,7 +37,7 @@ def test_a_success_within_the_limit_needs_both(success: bool, cost: float, found
         ("Merge", 16, 10_000),
         ("Roundabout", 24, 14_000),
         ("Racetrack", 4, 10_000),
-        pytest.param("Intersection", 32, 14_000, marks=pytest.mark.xfail(strict=True, reason="see docs/limits.md")),
+        pytest.param("Intersection", 32, 24_000, marks=pytest.mark.xfail(strict=True, reason="see docs/limits.md")),
     ],
 )
 def test_no_policy_without_sense_outdoes_a_sound_driver(name: str, episodes: int, seed: int) -> None:
@@ -45,3 +45,14 @@ def test_no_policy_without_sense_outdoes_a_sound_driver(name: str, episodes: int
     assert {label: found[SOUND].outdone_by(score) for label, score in found.items() if label != SOUND} == {
         label: [] for label in found if label != SOUND
     }
+
+
+@pytest.mark.slow
+def test_looking_is_better_than_luck_in_intersection() -> None:
+    """Rates of 0.58 and 0.26 (64 and 80 drives): other draws of 32 drives fail this in 0.6 % of the cases.
+
+    The criterion of half of the rate (0.29) is too near to be tested with so few drives.
+    """
+    found = scores("Intersection", 32, 24_000, (SOUND, "crawl_50"))
+    assert found[SOUND].kept > found["crawl_50"].kept
+    assert found[SOUND].crashed < found["crawl_50"].crashed

@@ -10,8 +10,11 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 from lanebound.agents.drivers import make_agent
+from lanebound.agents.drivers.aware import AwareConfig, IntegrityAware
 from lanebound.agents.drivers.base import Reader
-from lanebound.agents.drivers.crossing import YieldConfig, _decision, yield_speed
+from lanebound.agents.drivers.crossing import YieldConfig, _arrival_s, _decision, yield_speed
+from lanebound.agents.drivers.nominal import Nominal
+from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.observation import ObservationConfig
 from lanebound.envs.worlds.drivers import IntersectionDriver
@@ -195,3 +198,58 @@ def test_it_stops_behind_a_vehicle_that_waits_at_the_crossing(speed):
         assert not ego.crashed
         assert 1.0 < ego.position[1] - ahead.position[1] - 5.0 < 7.0
         assert ego.speed < 0.1
+
+
+@pytest.mark.parametrize("top", [4.0, 6.0])
+def test_the_predicted_start_by_meta_actions_encloses_the_driven_one(top):
+    """From rest the ego is at each place no sooner than its brisk start says, and no later than its own pace."""
+    env = DrivingEnv(make_config("lanebound/Intersection-v0", GIVEN))
+    giving = Nominal(env, CruiseConfig()).giving_way
+    env.reset(seed=1008)
+    ego = env.world.vehicle
+    env.world.road.vehicles = [ego]
+    env.world._spawn_vehicle = lambda *given, **named: None
+    while ego.speed > 0.01:
+        env.step(0)
+    way, ways = 0.0, []
+    for _ in range(10):
+        last = ego.position.copy()
+        env.step(2 if ego.target_speed < top else 1)
+        way += float(np.hypot(*(ego.position - last)))
+        ways.append(way)
+    v, fastest = np.array(0.0), np.array(top)
+    soonest = _arrival_s(np.array(ways), v, fastest, giving.brisk_mps2, 0.0)
+    latest = _arrival_s(np.array(ways), v, fastest, giving.accelerate_mps2, giving.response_s)
+    driven = 0.5 * np.arange(1, 11)
+    assert np.all(soonest <= driven + 0.05)
+    assert np.all(driven <= latest + 0.05)
+    assert np.all(latest - driven < 0.5)
+
+
+def test_the_top_speed_of_a_crossing_is_a_target_speed():
+    """Under an alert 4.8 m/s are wanted and 4 m/s driven: the ego clears the crossing later than at 4.8 m/s."""
+    plan = Nominal(DrivingEnv(make_config("lanebound/Intersection-v0", GIVEN)), CruiseConfig())
+    assert plan._reached(np.array([4.8, 10.0, 1.9, 0.0])).tolist() == [4.0, 6.0, 0.0, 0.0]
+
+
+def test_inside_the_crossing_it_does_not_slow_to_look(reader):
+    """Another one crosses the turn long after the ego; before the crossing the ego slows to look, inside it goes on."""
+    other = seen(reader, 6.0, 4.0, -43.0, 6.0, 90.0)
+    before, inside = (turning_left(reader, other.copy(), 13.0, entry) for entry in (3.0, 0.0))
+    look = math.sqrt(C.enter_mps**2 + 2.0 * C.brake_mps2 * 3.0)
+    assert float(yield_speed(reader, with_junction(reader, before, 3.0), C, 6.0)) == pytest.approx(look, abs=0.01)
+    assert float(yield_speed(reader, with_junction(reader, inside, 6.0), C, 6.0)) == np.inf
+
+
+@pytest.mark.parametrize(("level_m", "right", "stops"), [(1.9, 24.0, False), (2.1, 24.0, True), (1.9, 300.0, True)])
+def test_a_small_level_is_no_reason_to_stop_where_vehicles_cross(level_m, right, stops):
+    """The link is out: it waits on a free road, and with a level of more than half a lane."""
+    env = DrivingEnv(make_config("lanebound/Intersection-v0", {"sky": "open", "observation": {"form": "flat"}}))
+    plan = IntegrityAware(env, AwareConfig())
+    row = seen(plan.reader, 4.0, 20.0, right, 6.0, -90.0)
+    shown = {"integrity.alert": 1.0, "integrity.corrections_age": 5.0, "integrity.since_rtk": 5.0}
+    shown |= {"integrity.pl_ct": level_m, "road.speed_limit": 10.0, "traffic.v0_present": float(right < 100.0)}
+    shown |= {f"road.sky_{d:g}m_own": 30.0 for d in plan.reader.config.satellites_m}
+    for name, value in shown.items():
+        row[plan.reader.columns.index(name)] = value / plan.reader.scale(name)
+    assert (float(plan.free_speed(row)) == 0.0) == stops

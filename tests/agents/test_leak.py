@@ -18,8 +18,8 @@ TRAFFIC = ("CarFollowing", "Highway", "Merge", "Roundabout", "Intersection", "Ra
 KNOWN = {"CarFollowing": 0.81, "UrbanCanyon": 0.52}
 """Largest R^2 of the error across the track that is known where a sensor sees the lane offsets of neighbours.
 
-Measured: 0.71 in CarFollowing, 0.42 in UrbanCanyon, below 0 in Merge and Roundabout, see docs/limits.md. Intersection
-and Racetrack are not measured and have no exception.
+Measured: 0.71 in CarFollowing, 0.42 in UrbanCanyon, below 0 in Merge, Roundabout and, with a sensor, Intersection, see
+docs/limits.md. Racetrack is not measured and has no exception.
 """
 EPISODES = {"Highway": 48, "LaneKeeping": 96, "CarFollowing": 64, "UrbanCanyon": 48}
 

@@ -8,6 +8,7 @@ The agents, their figures and the changes of the environment are those of the su
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,13 +41,15 @@ class Score(NamedTuple):
         return out
 
 
-def scores(name: str, episodes: int, seed: int) -> dict[str, Score]:
-    """The score of each agent of the suite that can drive an id."""
+def scores(name: str, episodes: int, seed: int, only: Collection[str] = ()) -> dict[str, Score]:
+    """The score of each agent of the suite that can drive an id, or of some of them alone."""
     suite = load_suite("degenerate")
     config = {"sky": suite.skies[0], **suite.overrides}
     limit = single_of(name, config).config.cost_limit
     found = {}
     for label, chosen in suite.agents.items():
+        if only and label not in only:
+            continue
         try:
             found[label] = _score(drives(name, config, chosen.agent, chosen.figures, episodes, seed), episodes, limit)
         except InputError:
