@@ -148,6 +148,11 @@ class RtkConfig(Config):
     ambiguity_risk_share: float = Field(
         0.1, gt=0, le=1, description="largest failure rate of a fix as a share of the integrity risk [-]"
     )
+    acceptance: Literal["failure_rate", "posterior"] = Field(
+        "failure_rate",
+        description="failure_rate: integers are fixed where their failure rate, known before the measurements, is within "
+        "its limit; posterior: also where their probability of being wrong, given the measurements, is",
+    )
     ratio_min: float = Field(
         2.0,
         ge=1,
