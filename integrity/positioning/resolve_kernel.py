@@ -202,22 +202,22 @@ def accept(
     The best norm is chi-square when the integers are right, so that one above ``misfit`` shows that a carrier is off.
     Where the failure ``rate`` is within the limit, the ratio is that of a fixed failure rate, at least ``ratio_min``.
     Where it is not, the probability that another vector is right, given the measurements, must be, and the ratio above
-    ``ratio_min``. Residuals that are larger than declared widen the covariance for it; smaller ones do not narrow it.
+    ``ratio_min``. The covariance is multiplied for it by ``posterior``, or by what the residuals show if that is more.
 
     Returns a status and the probability of failure.
     """
     n, norms = rules.bands * groups, scratch.norms
     if integer_least_squares(n, floats.ambiguity, floats.covariance, NODE_LIMIT, False, scratch) != OK:
         return SEARCH_FAILED, rate
-    beforehand = rate <= limit
     if norms[0] > rules.misfit[n]:
         return RATIO_FAILED, rate
-    if beforehand or not rules.posterior:
+    if rate <= limit or not rules.posterior > 0.0:
         ratio = minimum_ratio(n, rate, limit, rules.ratio_min)
         return (RATIO_FAILED if norms[1] < ratio * norms[0] else FIXED), rate
-    if norms[1] - norms[0] < -2.0 * math.log(limit):
+    scale = max(rules.posterior, norms[0] / n)
+    if norms[1] - norms[0] < -2.0 * scale * math.log(limit):
         return NOT_CONVERGED, rate
-    failure = others_probability(n, limit, max(1.0, norms[0] / n), NODE_LIMIT, scratch)
+    failure = others_probability(n, limit, scale, NODE_LIMIT, scratch)
     if not failure <= limit:
         return NOT_CONVERGED, rate
     return (RATIO_FAILED if norms[1] < rules.ratio_min * norms[0] else FIXED), failure
@@ -324,7 +324,7 @@ def attempt(
     floats = float_solution(carriers, candidate, ambiguities, source, rules)
     scratch = search_scratch(floats.ambiguity.shape[0], 2)
     status, groups, rate = choose(carriers, floats, ambiguities, rules, limit, scratch, chosen)
-    if status != FIXED and rules.posterior:
+    if status != FIXED and rules.posterior > 0.0:
         largest = largest_rate(limit)
         again, groups, higher = choose(carriers, floats, ambiguities, rules, largest, scratch, chosen)
         if again == FIXED:

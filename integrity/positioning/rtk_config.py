@@ -148,10 +148,12 @@ class RtkConfig(Config):
     ambiguity_risk_share: float = Field(
         0.1, gt=0, le=1, description="largest failure rate of a fix as a share of the integrity risk [-]"
     )
-    acceptance: Literal["failure_rate", "posterior"] = Field(
-        "failure_rate",
-        description="failure_rate: integers are fixed where their failure rate, known before the measurements, is within "
-        "its limit; posterior: also where their probability of being wrong, given the measurements, is",
+    posterior_margin: float = Field(
+        0.0,
+        ge=0,
+        description="0: integers are fixed where their failure rate, known before the measurements, is within its limit; "
+        "1 and more: also where their probability of being wrong, given the measurements, is, for errors so many times as "
+        "large as declared [-]",
     )
     ratio_min: float = Field(
         2.0,

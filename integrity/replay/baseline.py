@@ -65,10 +65,12 @@ class RecordedRtkConfig(RtkConfig):
     max_candidates: int = Field(
         MOST_AMBIGUITIES, ge=4, le=MOST_AMBIGUITIES, description="signals whose ambiguities are estimated at once [-]"
     )
-    acceptance: Literal["failure_rate", "posterior"] = Field(
-        "posterior",
-        description="failure_rate: integers are fixed where their failure rate, known before the measurements, is within "
-        "its limit; posterior: also where their probability of being wrong, given the measurements, is",
+    posterior_margin: float = Field(
+        1.5,
+        ge=0,
+        description="0: integers are fixed where their failure rate, known before the measurements, is within its limit; "
+        "1 and more: also where their probability of being wrong, given the measurements, is, for errors so many times as "
+        "large as declared [-]",
     )
     float_solution: RecordedFloatConfig = RecordedFloatConfig()
 
