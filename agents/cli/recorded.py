@@ -140,7 +140,7 @@ def rtk(
     for option, path in (("--rover", rover), ("--base", base), *(("--nav", path) for path in nav)):
         if not path.is_file():
             raise InputError(f"{option} must be a file that exists, got {path}: correct the path")
-    config = BaselineConfig.build(None, changes(assignments) | ({"static": True} if static else {}))
+    config = BaselineConfig.build(None, changes(assignments, static=static or None))
     places = {
         name: None if text is None else read_coordinates(text)
         for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))

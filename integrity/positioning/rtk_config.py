@@ -204,6 +204,15 @@ class RtkConfig(Config):
     float_solution: FloatConfig = FloatConfig()
 
     @model_validator(mode="after")
+    def _posterior_probabilities_are_not_those_of_smaller_errors(self) -> RtkConfig:
+        if 0.0 < self.posterior_margin < 1.0:
+            raise ConfigError(
+                f"posterior_margin must be 0, or at least 1, got {self.posterior_margin:g}: errors smaller than declared "
+                "would accept wrong integers more often than the limit"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _an_alarm_of_the_drift_watch_has_an_effect(self) -> RtkConfig:
         if self.drift.window_s > 0.0 and self.jump_quarantine_s == 0.0:
             raise ConfigError(
