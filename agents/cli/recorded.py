@@ -72,8 +72,8 @@ def replay(
 
     Keys for --set, of smartLoc: every, first, training_share, solution.*, alerts.*; of comma2k19: every_s, longest_s,
     heading_error_deg, bridge.*; of an inertial log: longest_s, every_s, rest_s, calibration_s, settle_s,
-    acceleration_bias_mps2, pitch_drift_degps, bridge.*; of RINEX: static, bands, ionosphere_ppm, troposphere_ppm, rtk.*,
-    fde.*, risk.*; with --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
+    acceleration_bias_mps2, pitch_drift_degps, bridge.*; of RINEX: static, bands, ionosphere_ppm, troposphere_ppm,
+    rtk.*, fde.*, risk.*; with --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
 
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
@@ -105,7 +105,8 @@ def rtk(
     ],
     base: Annotated[Path, typer.Option(metavar="FILE.obs", help="RINEX 2, 3 or 4 observations of the base.")],
     nav: Annotated[
-        list[Path], typer.Option(metavar="FILE.nav", help="RINEX 2, 3 or 4 navigation messages; several files are merged.")
+        list[Path],
+        typer.Option(metavar="FILE.nav", help="RINEX 2, 3 or 4 navigation messages; several files are merged."),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for solution.csv and rtk.json.")],
     base_position: Annotated[

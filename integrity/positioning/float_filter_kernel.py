@@ -7,9 +7,9 @@ satellite and band b, with clocks for each system, band and observable, and a po
 ``code = -e.x + clock + mu_b m_I I + m_Z Z``, ``phase = -e.x + clock - mu_b m_I I + m_Z Z + lambda_b N_b``,
 ``mu_b = (lambda_b / lambda_1)^2``.
 
-A filter with three more states before Z is that of a receiver that stands: x is then one of its states, the same in all
-epochs. A further signal of a satellite has a slot of its own with one ambiguity, and the ionosphere of the slot of its host. It
-is followed only while its host is.
+A filter with three more states before Z is that of a receiver that stands: x is then one of its states, the same in
+all epochs. A further signal of a satellite has a slot of its own with one ambiguity, and the ionosphere of the slot of
+its host. It is followed only while its host is.
 
 With P the weight matrix of an epoch after elimination of clocks and position, H the design of the lasting states and
 R the variances, ``B = H'P``, normal matrix and right-hand side grow by ``BH`` and ``By`` and fade by

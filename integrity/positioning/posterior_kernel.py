@@ -4,12 +4,13 @@ With normal errors of the declared covariance and no preference for any integers
 gives a vector ``z`` the probability ``exp(-q_z / 2) / sum_u exp(-q_u / 2)``, ``q_z = (a - z)' Q^-1 (a - z)``. Accepting
 the best vector only where that of all others together is at most ``L`` is wrong with a probability of at most ``L``:
 ``P(wrong and accepted) = E[P(wrong | a); accepted] <= L``. Float solutions differ from the true integers by an error
-whose law does not depend on them, so that the mean over integers is also the probability for the true ones. Of all rules
-with that failure rate this one accepts most (Teunissen 2005, Artificial Satellites 40, 219-227).
+whose law does not depend on them, so that the mean over integers is also the probability for the true ones. Of all
+rules with that failure rate this one accepts most (Teunissen 2005, Artificial Satellites 40, 219-227).
 
-The bootstrapped failure rate is known before the measurements; this probability belongs to them. Errors that are smaller
-than their usual size show themselves by the distance between the best vector and the others. The largest distance is
-that of float ambiguities that are integers: where half of ``min z' Q^-1 z`` is below ``-ln L``, nothing is accepted.
+The bootstrapped failure rate is known before the measurements; this probability belongs to them. Errors that are
+smaller than their usual size show themselves by the distance between the best vector and the others. The largest
+distance is that of float ambiguities that are integers: where half of ``min z' Q^-1 z`` is below ``-ln L``, nothing is
+accepted.
 """
 
 from __future__ import annotations
@@ -48,10 +49,10 @@ def row_sum(variance: float) -> float:
 def others_probability(n: int, limit: float, scale: float, node_limit: int, scratch: SearchScratch) -> float:
     """Bound of the probability that not the best vector but another is right; inf where it is above ``limit``.
 
-    The covariance is that of the last :func:`~.lambda_kernel.integer_least_squares`, multiplied by ``scale``; ``scratch``
-    still holds its decorrelated ambiguities, of which all vectors are summed depth first. Of a branch whose first j
-    ambiguities are open, with norm q so far, the sum is at most ``exp(-q / 2) prod_i<j row_sum(D_i)``: branches below
-    SKIPPED of the limit enter by that bound. ``node_limit`` nodes at most, otherwise inf.
+    The covariance is that of the last :func:`~.lambda_kernel.integer_least_squares`, multiplied by ``scale``;
+    ``scratch`` still holds its decorrelated ambiguities, of which all vectors are summed depth first. Of a branch whose
+    first j ambiguities are open, with norm q so far, the sum is at most ``exp(-q / 2) prod_i<j row_sum(D_i)``: branches
+    below SKIPPED of the limit enter by that bound. ``node_limit`` nodes at most, otherwise inf.
     """
     U, D, S, z_float = scratch.U, scratch.D, scratch.S, scratch.z_float
     distance, mean, z, step, best = scratch.distance, scratch.mean, scratch.z, scratch.step, scratch.norms[0]

@@ -225,9 +225,10 @@ def accept(
 
 @jit(borrows=True)
 def largest_rate(limit: float) -> float:
-    """Largest failure rate with which another vector can be improbable enough: ``erfc(sqrt(-ln(limit)) / 2)``.
+    """Largest failure rate with which the probability of other vectors is searched: ``erfc(sqrt(-ln(limit)) / 2)``.
 
-    One ambiguity that happens to be an integer: ``1 / variance = -2 ln(limit)`` for the two next ones.
+    That of one ambiguity whose neighbours are just improbable enough where it happens to be an integer,
+    ``1 / variance = -2 ln(limit)``. Sets of many ambiguities may be acceptable above it; it bounds the work.
     """
     return math.erfc(0.5 * math.sqrt(max(-math.log(max(limit, 1e-300)), 0.0)))
 

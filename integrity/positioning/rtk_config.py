@@ -151,9 +151,9 @@ class RtkConfig(Config):
     posterior_margin: float = Field(
         0.0,
         ge=0,
-        description="0: integers are fixed where their failure rate, known before the measurements, is within its limit; "
-        "1 and more: also where their probability of being wrong, given the measurements, is, for errors so many times as "
-        "large as declared [-]",
+        description="0: integers are fixed where their failure rate, known before the measurements, is within its "
+        "limit; 1 and more: also where their probability of being wrong, given the measurements, is, for errors so "
+        "many times as large as declared [-]",
     )
     ratio_min: float = Field(
         2.0,
@@ -207,8 +207,8 @@ class RtkConfig(Config):
     def _posterior_probabilities_are_not_those_of_smaller_errors(self) -> RtkConfig:
         if 0.0 < self.posterior_margin < 1.0:
             raise ConfigError(
-                f"posterior_margin must be 0, or at least 1, got {self.posterior_margin:g}: errors smaller than declared "
-                "would accept wrong integers more often than the limit"
+                f"posterior_margin must be 0, or at least 1, got {self.posterior_margin:g}: with errors smaller than "
+                "declared wrong integers would be accepted more often than the limit"
             )
         return self
 

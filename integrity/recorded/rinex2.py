@@ -112,9 +112,7 @@ def _columns(system: str, types: list[str]) -> list[Column]:
     return out
 
 
-def _epoch(
-    text: str, source: Iterator[str], columns: dict[str, list[Column]], rows: int, usual: str
-) -> Iterator[str]:
+def _epoch(text: str, source: Iterator[str], columns: dict[str, list[Column]], rows: int, usual: str) -> Iterator[str]:
     """One epoch and its rows; ``usual`` is the system of satellites without a letter."""
     flag = whole_number(text[26:29], 0, LAST_FLAG) if text[26:29].strip() else 0
     count = whole_number(text[29:32], 0, MOST_SATELLITES) if text[29:32].strip() else 0

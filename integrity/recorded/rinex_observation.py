@@ -124,8 +124,8 @@ def read_observations(path: str | Path, max_bytes: int = MAX_BYTES) -> Observati
     Raises
     ------
     InputError
-        The file cannot be read, is not a RINEX 2, 3 or 4 observation file, is malformed before its last epoch, or has no
-        epoch.
+        The file cannot be read, is not a RINEX 2, 3 or 4 observation file, is malformed before its last epoch, or has
+        no epoch.
     """
     lines = Lines(path, max_bytes)
     parser = _Parser()

@@ -68,9 +68,9 @@ class RecordedRtkConfig(RtkConfig):
     posterior_margin: float = Field(
         1.25,
         ge=0,
-        description="0: integers are fixed where their failure rate, known before the measurements, is within its limit; "
-        "1 and more: also where their probability of being wrong, given the measurements, is, for errors so many times as "
-        "large as declared [-]",
+        description="0: integers are fixed where their failure rate, known before the measurements, is within its "
+        "limit; 1 and more: also where their probability of being wrong, given the measurements, is, for errors so "
+        "many times as large as declared [-]",
     )
     float_solution: RecordedFloatConfig = RecordedFloatConfig()
 
@@ -79,7 +79,8 @@ class BaselineConfig(Config):
     """Parameters of the solution of recorded baselines and of its protection levels."""
 
     static: bool = Field(
-        False, description="the rover stands: the filter of float ambiguities takes its position as the same in all epochs"
+        False,
+        description="the rover stands: the filter of float ambiguities takes its position as the same in all epochs",
     )
     bands: int | None = Field(None, ge=1, le=3, description="bands of a system at most; None: all, up to three [-]")
     ionosphere_ppm: float = Field(

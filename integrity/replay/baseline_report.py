@@ -113,7 +113,9 @@ def _require_standing(rover: Observations, base: Observations, table: Ephemeride
     """Raise InputError where the codes of a rover that is said to stand show that it moves."""
     choice = choose_signals(rover, base, 1)
     if CodePlaces(rover, choice.rover, choice, table).moves:
-        raise InputError("the rover must stand with --static (static), its codes say that it moves: leave the option out")
+        raise InputError(
+            "the rover must stand with --static (static), its codes say that it moves: leave the option out"
+        )
 
 
 def _require_still(solved: Baseline, config: BaselineConfig) -> None:
@@ -124,8 +126,8 @@ def _require_still(solved: Baseline, config: BaselineConfig) -> None:
     away = float(np.linalg.norm((places - np.median(places, axis=0))[:, :2], axis=1).max())
     if away > STILL_M:
         raise InputError(
-            f"the rover must stand with --static (static), its fixed positions differ by {away:.1f} m: leave the option "
-            "out, or cut the files to the time in which it stands"
+            f"the rover must stand with --static (static), its fixed positions differ by {away:.1f} m: leave the "
+            "option out, or cut the files to the time in which it stands"
         )
 
 
@@ -195,10 +197,11 @@ def _lacking(solved: Baseline, waiting: NDArray[np.bool_]) -> dict[str, Any]:
             f"on the bands in use (rover: {used})"
         )
     else:
+        also = ", which what was measured did not meet either" if solved.rtk.posterior_margin > 0.0 else ""
         bands = "" if solved.choice.bands >= 2 else ", a second band"
         what = (
             f"the failure rate of the integers of {signals:g} signals was {rate:.1e} (median), its limit is "
-            f"{solved.failure_limit:.1e}: more satellites{bands}, a shorter baseline or a longer time lower it"
+            f"{solved.failure_limit:.1e}{also}: more satellites{bands}, a shorter baseline or a longer time lower it"
         )
     return {"failure_rate_median": rate, "failure_limit": solved.failure_limit, "signals_median": signals,
             "what": what}  # fmt: skip

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.sagnac import ranges_and_sights
-from lanebound.integrity.replay.signal_choice import COLUMNS, LETTERS, USUAL_CN0_DBHZ, Choice, comparable_cn0, strength_dbhz
+from lanebound.integrity.replay.signal_choice import (
+    COLUMNS,
+    LETTERS,
+    USUAL_CN0_DBHZ,
+    Choice,
+    comparable_cn0,
+    strength_dbhz,
+)
 from lanebound.integrity.sky.broadcast import Ephemerides, positions
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS
 

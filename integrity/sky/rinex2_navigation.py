@@ -1,4 +1,4 @@
-"""GPS navigation files of RINEX 2 in the form of RINEX 3 (Gurtner and Estey 2007, RINEX version 2.11, tables A3 and A4).
+"""GPS navigation files of RINEX 2 in the form of RINEX 3 (Gurtner and Estey 2007, RINEX 2.11, tables A3 and A4).
 
 Messages have the lines of RINEX 3, one column further left, with the number of the satellite alone and two digits of
 the year.

@@ -172,8 +172,8 @@ def _after_header(lines: list[str], start: int, source: str) -> int:
     version, kind = first[:9].strip(), first[20:21].upper()
     if not version.startswith(("3.", "4.")) or kind != "N":
         raise InputError(
-            f"{where}: version 2 to 4 and type N (navigation; of version 2 GPS alone) are needed, got {version!r} and {kind!r}: convert the "
-            "file (for instance with gfzrnx), or pass that of navigation messages"
+            f"{where}: version 2 to 4 and type N (navigation; of version 2 GPS alone) are needed, got {version!r} and "
+            f"{kind!r}: convert the file (for instance with gfzrnx), or pass that of navigation messages"
         )
     for i, line in enumerate(lines[start:], start):
         if line[60:80].strip() == "END OF HEADER":

@@ -28,7 +28,10 @@ def observation_2_text(data: Observations) -> str:
     for start in range(0, len(names), 9):
         head = f"{len(names):6d}" if not start else " " * 6
         lines.append(f"{head + ''.join(f'{n:>6}' for n in names[start : start + 9]):<60}# / TYPES OF OBSERV")
-    lines += [f"{'  2024     1     1     0     0    0.0000000     GPS':<60}TIME OF FIRST OBS", " " * 60 + "END OF HEADER"]
+    lines += [
+        f"{'  2024     1     1     0     0    0.0000000     GPS':<60}TIME OF FIRST OBS",
+        " " * 60 + "END OF HEADER",
+    ]
     for k in range(data.epochs):
         rows = [(s, r, i) for s, r in data.rows.items() if s in "GE" for i in np.flatnonzero(r.epoch == k)]
         time = datetime(1980, 1, 6) + timedelta(weeks=int(data.week[k]), seconds=float(data.tow_s[k]))

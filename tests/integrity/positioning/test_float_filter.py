@@ -115,9 +115,7 @@ def drawn(rng: np.random.Generator, epochs: int, tau_s: float, sigma: float) -> 
     return out
 
 
-def batch(
-    s: Session, times: list[tuple[Array, Array, Array, NDArray[np.bool_]]], stands: bool
-) -> tuple[Array, Array]:
+def batch(s: Session, times: list[tuple[Array, Array, Array, NDArray[np.bool_]]], stands: bool) -> tuple[Array, Array]:
     """White least squares over all epochs at once, with every clock and position an unknown, or one position where the
     receiver ``stands``: (a, Q) of floats. Epochs are code, phase, lines of sight and which satellites are used."""
     wave, pairs = s.satellites["wavelength"], [(u, b) for u in range(N) for b in range(2)]
@@ -177,12 +175,12 @@ def test_one_epoch_gives_the_float_solution_of_that_epoch() -> None:
 @pytest.mark.parametrize("stands", [False, True])
 def test_white_errors_give_batch_least_squares_with_satellites_that_come_and_go(stands: bool) -> None:
     s = session(stands=stands, memory_s=1e12, code_tau_s=1e-3, phase_tau_s=1e-3)
-    start, later = s.los, sky(8)
+    start, later, rest = s.los, sky(8), np.array([3.0, -2.0, 1.0])
     rng, times = np.random.default_rng(4), []
     seen = np.ones((6, N), np.bool_)
     seen[:2, 3], seen[3:, 7] = False, False  # one rises, one sets
     for k in range(6):
-        x, used = rng.normal(0.0, 10.0, 3) if not (stands and times) else x, seen[k]
+        x, used = rest if stands else rng.normal(0.0, 10.0, 3), seen[k]
         s.los = start + 0.1 * k * (later - start)
         s.los /= np.linalg.norm(s.los, axis=1)[:, None]
         if k == 3:

@@ -54,7 +54,8 @@ def test_the_recorded_pair_in_version_2(tmp_path: Path) -> None:
     for name in ("rover", "base"):
         wanted = same_signals(read_observations(folder / f"{name}.obs"))
         found = read(tmp_path, observation_2_text(wanted))
-        assert found.stopped is None and not found.undeclared
+        assert found.stopped is None
+        assert not found.undeclared
         np.testing.assert_array_equal(found.tow_s, wanted.tow_s)
         for system in "GE":
             ours, theirs = found.rows[system], wanted.rows[system]
@@ -105,8 +106,10 @@ def test_ionosphere_and_joined_files_of_version_2(tmp_path: Path) -> None:
 
 def test_the_second_phase_belongs_to_the_code_that_is_there(tmp_path: Path) -> None:
     """P2 and L2 are L2W; a satellite with C2 and without P2 has L2X."""
-    rows = f"{2e7:14.3f}  {1e8:14.3f}  {2.1e7:14.3f}  {'':16}{8e7:14.3f}\n" + f"{2e7:14.3f}  {1e8:14.3f}  " + (
-        f"{2.1e7:14.3f}  {2.2e7:14.3f}  {8e7:14.3f}\n"
+    rows = (
+        f"{2e7:14.3f}  {1e8:14.3f}  {2.1e7:14.3f}  {'':16}{8e7:14.3f}\n"
+        + f"{2e7:14.3f}  {1e8:14.3f}  "
+        + (f"{2.1e7:14.3f}  {2.2e7:14.3f}  {8e7:14.3f}\n")
     )
     text = header("C1", "L1", "C2", "P2", "L2") + f" 24  6 24  8 20  0.0000000  0  2G 5 17\n{rows}"
     found = read(tmp_path, text).rows["G"]
