@@ -72,8 +72,8 @@ def replay(
 
     Keys for --set, of smartLoc: every, first, training_share, solution.*, alerts.*; of comma2k19: every_s, longest_s,
     heading_error_deg, bridge.*; of an inertial log: longest_s, every_s, rest_s, calibration_s, settle_s,
-    acceleration_bias_mps2, pitch_drift_degps, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*,
-    fde.*, risk.*; with --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
+    acceleration_bias_mps2, pitch_drift_degps, bridge.*; of RINEX: static, bands, ionosphere_ppm, troposphere_ppm,
+    rtk.*, fde.*, risk.*; with --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
 
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
@@ -101,11 +101,12 @@ def replay(
 
 def rtk(
     rover: Annotated[
-        Path, typer.Option(metavar="FILE.obs", help="RINEX 3 or 4 observations of the rover, plain or gzip.")
+        Path, typer.Option(metavar="FILE.obs", help="RINEX 2, 3 or 4 observations of the rover, plain or gzip.")
     ],
-    base: Annotated[Path, typer.Option(metavar="FILE.obs", help="RINEX 3 or 4 observations of the base.")],
+    base: Annotated[Path, typer.Option(metavar="FILE.obs", help="RINEX 2, 3 or 4 observations of the base.")],
     nav: Annotated[
-        list[Path], typer.Option(metavar="FILE.nav", help="RINEX 3 or 4 navigation messages; several files are merged.")
+        list[Path],
+        typer.Option(metavar="FILE.nav", help="RINEX 2, 3 or 4 navigation messages; several files are merged."),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for solution.csv and rtk.json.")],
     base_position: Annotated[
@@ -119,6 +120,9 @@ def rtk(
     rover_position: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="True antenna of a rover that stands, to count errors.")
     ] = None,
+    static: Annotated[
+        bool, typer.Option("--static", help="The rover stands: one position for all epochs helps to find integers.")
+    ] = False,
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
@@ -137,7 +141,7 @@ def rtk(
     for option, path in (("--rover", rover), ("--base", base), *(("--nav", path) for path in nav)):
         if not path.is_file():
             raise InputError(f"{option} must be a file that exists, got {path}: correct the path")
-    config = BaselineConfig.build(None, changes(assignments))
+    config = BaselineConfig.build(None, changes(assignments, static=static or None))
     places = {
         name: None if text is None else read_coordinates(text)
         for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))

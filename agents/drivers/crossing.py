@@ -39,7 +39,7 @@ class YieldConfig(Config):
     width_m: float = Field(2.3, gt=0, description="of a circle to the route: its radius and half a car")
     length_m: float = Field(3.8, gt=0, description="half of the ego and the radius of a circle")
     gap_s: float = Field(
-        1.0, ge=0, description="before and after the ego on entering; 1.5 s prevented no conflict on training seeds"
+        1.0, ge=0, description="before and after the ego on entering; 1.5 s took fewer gaps and prevented no conflict"
     )
     inside_s: float = Field(0.5, ge=0, description="the same for an ego inside the crossing; chosen")
     turn_m: tuple[float, float] = Field((13.0, 9.0), description="radii of a turn left and right; lanes of 4 m")

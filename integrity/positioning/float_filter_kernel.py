@@ -7,8 +7,9 @@ satellite and band b, with clocks for each system, band and observable, and a po
 ``code = -e.x + clock + mu_b m_I I + m_Z Z``, ``phase = -e.x + clock - mu_b m_I I + m_Z Z + lambda_b N_b``,
 ``mu_b = (lambda_b / lambda_1)^2``.
 
-A further signal of a satellite has a slot of its own with one ambiguity, and the ionosphere of the slot of its host. It
-is followed only while its host is.
+A filter with three more states before Z is that of a receiver that stands: x is then one of its states, the same in
+all epochs. A further signal of a satellite has a slot of its own with one ambiguity, and the ionosphere of the slot of
+its host. It is followed only while its host is.
 
 With P the weight matrix of an epoch after elimination of clocks and position, H the design of the lasting states and
 R the variances, ``B = H'P``, normal matrix and right-hand side grow by ``BH`` and ``By`` and fade by
@@ -78,7 +79,7 @@ FILTER_ROW = record(
 
 
 class Filtered(NamedTuple):
-    """Filters of B vehicles, or, without the first axis, of one; n = 3 K + 1 states.
+    """Filters of B vehicles, or, without the first axis, of one; n = 3 K + 1 states, 3 K + 4 of a receiver that stands.
 
     rows (B,) of FILTER_ROW; slots (B, K) of SLOT; normal (B, n, n), rhs (B, n); spread (B, n, n), the S of the module;
     memory (B, 4 K, n), its W with a row for each measurement.
@@ -123,6 +124,12 @@ class _Rows(NamedTuple):
 def filter_of(filtered: Filtered, v: int) -> FilterRow:
     """The filter of vehicle v."""
     return FilterRow(filtered.slots[v], filtered.normal[v], filtered.rhs[v], filtered.spread[v], filtered.memory[v])
+
+
+@jit(borrows=True)
+def stands(own: FilterRow) -> bool:
+    """Whether the position is a state of the filter."""
+    return bool(own.rhs.shape[0] > STATES * own.slots.shape[0] + 1)
 
 
 @jit(borrows=True)
@@ -294,8 +301,9 @@ def _measurements(
 
 
 @jit
-def _projected(rows: _Rows, n: int, out: Array) -> bool:
-    """Weight matrix ``out`` (n, n) after elimination of clocks and position; False where the position is singular."""
+def _projected(rows: _Rows, n: int, stands: bool, out: Array) -> bool:
+    """Weight matrix ``out`` (n, n) after elimination of clocks and, unless it is a state, of the position; False where
+    the position is singular."""
     total, mean = np.zeros(4 * MAX_GROUPS), np.zeros((4 * MAX_GROUPS, 3))
     for r in range(n):
         total[rows.group[r]] += rows.weight[r]
@@ -309,7 +317,8 @@ def _projected(rows: _Rows, n: int, out: Array) -> bool:
         for c in range(3):
             for d in range(3):
                 normal[c, d] += pull[r, c] * (rows.los[r, d] - mean[g, d] / total[g])
-    if not invert_3x3(normal, q):
+    q[:] = 0.0
+    if not stands and not invert_3x3(normal, q):
         return False
     for r in range(n):
         a = q[0, 0] * pull[r, 0] + q[0, 1] * pull[r, 1] + q[0, 2] * pull[r, 2]
@@ -335,7 +344,8 @@ def add_epoch(
     normal, rhs, spread, memory = own.normal, own.rhs, own.spread, own.memory
     rows, n = _measurements(own, carriers, code, variance_code, coded, used, rules)
     weight, size = np.empty((n, n)), rhs.shape[0]
-    if n == 0 or not _projected(rows, n, weight):
+    position = STATES * own.slots.shape[0] if stands(own) else size  # its states
+    if n == 0 or not _projected(rows, n, stands(own), weight):
         return False
     influence = np.zeros((n, size))  # B'
     for r in range(n):
@@ -345,6 +355,8 @@ def add_epoch(
                 influence[r2, rows.state[r]] += rows.wavelength[r] * weight[r, r2]
             influence[r2, STATES * rows.slot[r] + 2] += rows.ionosphere[r] * weight[r, r2]
             influence[r2, zenith] += rows.zenith[r] * weight[r, r2]
+            for i in range(position, zenith):
+                influence[r2, i] += rows.los[r, i - position] * weight[r, r2]
     for r in range(n):
         for i in range(size):
             pull = influence[r, i]
@@ -353,6 +365,8 @@ def add_epoch(
                 normal[i, rows.state[r]] += rows.wavelength[r] * pull
             normal[i, STATES * rows.slot[r] + 2] += rows.ionosphere[r] * pull
             normal[i, size - 1] += rows.zenith[r] * pull
+            for j in range(position, size - 1):
+                normal[i, j] += rows.los[r, j - position] * pull
     for k in range(own.slots.shape[0]):
         slot = own.slots[k]
         if slot.followed and used[slot.satellite]:
@@ -461,6 +475,9 @@ def _unknowns(
         if rules.filter.ionosphere > 0.0 and not carriers.satellites[s].further:
             unknown[n] = STATES * k + 2
             n += 1
+    for state in range(STATES * slots.shape[0], own.rhs.shape[0] - 1):  # the position of a receiver that stands
+        unknown[n] = state
+        n += 1
     if rules.filter.troposphere > 0.0:
         unknown[n] = own.rhs.shape[0] - 1
         n += 1
@@ -495,7 +512,7 @@ def filtered_ambiguities(
             sigma = rules.filter.troposphere
             for k in range(slots.shape[0]):
                 kappa = max(kappa, prior_factor(slots[k]) if slots[k].followed else 0.0)
-        elif unknown[i] % STATES == 2:
+        elif unknown[i] % STATES == 2 and unknown[i] < STATES * slots.shape[0]:
             sigma, kappa = rules.filter.ionosphere, prior_factor(slots[unknown[i] // STATES])
         if sigma > 0.0:
             normal[i, i] += kappa / sigma**2

@@ -49,6 +49,7 @@ def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Recor
         fix_max_age=config.fix_max_age_s,
         fix_limit=config.ambiguity_risk_share * smallest_risk,
         ratio_min=config.ratio_min,
+        posterior=config.posterior_margin**2,
         misfit=chdtri(np.maximum(np.arange(MOST_AMBIGUITIES + 1), 1), config.fit_false_rejection),
         attempts=config.attempts,
         max_candidates=config.max_candidates,

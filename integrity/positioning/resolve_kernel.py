@@ -13,12 +13,17 @@ from the data, so by the union bound, whatever the order and the number of the a
 A fix found by leaving one out is held with the risk ``P_IF + (1 - FIRST_SHARE) L``. The bound holds for right models: a
 set that still contains the faulty carrier has no right integers, and its fit and ratio must refuse it.
 
+With ``posterior``, a set whose failure rate is above its limit may still be fixed: where, given the measurements, the
+probability that another vector is right is within the same limit (:mod:`.posterior_kernel`). The bound above holds with
+that limit in the place of ``P_IF``, because which of the two rules a set is judged by follows from the geometry alone.
+
 Letters: ``x`` (3,) position and ``q`` (3, 3) its covariance from the code, both completed by the held phases; ``a`` the
 float ambiguities and ``Q_a`` their covariance; ``P_IF`` the bootstrapped failure rate of a set.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +42,7 @@ from lanebound.integrity.positioning.lambda_kernel import (
     largest_prefix,
     search_scratch,
 )
+from lanebound.integrity.positioning.posterior_kernel import others_probability
 from lanebound.integrity.positioning.ratio_kernel import minimum_ratio
 from lanebound.integrity.positioning.rows_kernel import row_scratch
 from lanebound.integrity.positioning.rtk_kernel import (
@@ -188,18 +194,43 @@ def choose(
 
 
 @jit
-def accept(floats: Floats, groups: int, rate: float, limit: float, rules: Any, scratch: SearchScratch) -> int:
-    """Integer least squares of the first ``groups`` satellites and the tests of its best candidate; returns a status.
+def accept(
+    floats: Floats, groups: int, rate: float, limit: float, rules: Any, scratch: SearchScratch
+) -> tuple[int, float]:  # fmt: skip
+    """Integer least squares of the first ``groups`` satellites and the tests of its best candidate.
 
-    The ratio is that of a fixed failure rate, at least ``ratio_min``. The best norm is chi-square when the integers are
-    right, so that one above ``misfit`` shows that a carrier is off.
+    The best norm is chi-square when the integers are right, so that one above ``misfit`` shows that a carrier is off.
+    Where the failure ``rate`` is within the limit, the ratio is that of a fixed failure rate, at least ``ratio_min``.
+    Where it is not, the probability that another vector is right, given the measurements, must be, and the ratio above
+    ``ratio_min``. The covariance is multiplied for it by ``posterior``, or by what the residuals show if that is more.
+
+    Returns a status and the probability of failure.
     """
     n, norms = rules.bands * groups, scratch.norms
     if integer_least_squares(n, floats.ambiguity, floats.covariance, NODE_LIMIT, False, scratch) != OK:
-        return SEARCH_FAILED
-    if norms[0] > rules.misfit[n] or norms[1] < minimum_ratio(n, rate, limit, rules.ratio_min) * norms[0]:
-        return RATIO_FAILED
-    return FIXED
+        return SEARCH_FAILED, rate
+    if norms[0] > rules.misfit[n]:
+        return RATIO_FAILED, rate
+    if rate <= limit or not rules.posterior > 0.0:
+        ratio = minimum_ratio(n, rate, limit, rules.ratio_min)
+        return (RATIO_FAILED if norms[1] < ratio * norms[0] else FIXED), rate
+    scale = max(rules.posterior, norms[0] / n)
+    if norms[1] - norms[0] < -2.0 * scale * math.log(limit):
+        return NOT_CONVERGED, rate
+    failure = others_probability(n, limit, scale, NODE_LIMIT, scratch)
+    if not failure <= limit:
+        return NOT_CONVERGED, rate
+    return (RATIO_FAILED if norms[1] < rules.ratio_min * norms[0] else FIXED), failure
+
+
+@jit(borrows=True)
+def largest_rate(limit: float) -> float:
+    """Largest failure rate with which the probability of other vectors is searched: ``erfc(sqrt(-ln(limit)) / 2)``.
+
+    That of one ambiguity whose neighbours are just improbable enough where it happens to be an integer,
+    ``1 / variance = -2 ln(limit)``. Sets of many ambiguities may be acceptable above it; it bounds the work.
+    """
+    return math.erfc(0.5 * math.sqrt(max(-math.log(max(limit, 1e-300)), 0.0)))
 
 
 @jit
@@ -294,11 +325,16 @@ def attempt(
     floats = float_solution(carriers, candidate, ambiguities, source, rules)
     scratch = search_scratch(floats.ambiguity.shape[0], 2)
     status, groups, rate = choose(carriers, floats, ambiguities, rules, limit, scratch, chosen)
+    if status != FIXED and rules.posterior > 0.0:
+        largest = largest_rate(limit)
+        again, groups, higher = choose(carriers, floats, ambiguities, rules, largest, scratch, chosen)
+        if again == FIXED:
+            status, rate = FIXED, higher
     if status != FIXED:
         return status, rate, 0
-    status, count, best = accept(floats, groups, rate, limit, rules, scratch), 0, scratch.candidates[0]
+    (status, failure), count, best = accept(floats, groups, rate, limit, rules, scratch), 0, scratch.candidates[0]
     if status == FIXED:
-        hold(floats, groups, rules.bands, best, chosen, ambiguities, next_id, rate + further)
+        hold(floats, groups, rules.bands, best, chosen, ambiguities, next_id, failure + further)
     elif status == RATIO_FAILED:
         count = suspect(floats, groups, ambiguities, chosen, carriers, rules.bands, best, relieved)
     return status, rate, count
@@ -337,7 +373,7 @@ def resolve(
         for s in range(n_sat):
             others[s] = candidate[s] and owner_of(carriers.satellites, s) != worst
         again, _, _ = attempt(
-            carriers, others, ambiguities, source, rules, rest / sets, next_id, rate + rest, chosen, unread
+            carriers, others, ambiguities, source, rules, rest / sets, next_id, min(rate, first) + rest, chosen, unread
         )
         if again == FIXED:
             return FIXED, rate

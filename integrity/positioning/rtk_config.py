@@ -148,6 +148,13 @@ class RtkConfig(Config):
     ambiguity_risk_share: float = Field(
         0.1, gt=0, le=1, description="largest failure rate of a fix as a share of the integrity risk [-]"
     )
+    posterior_margin: float = Field(
+        0.0,
+        ge=0,
+        description="0: integers are fixed where their failure rate, known before the measurements, is within its "
+        "limit; 1 and more: also where their probability of being wrong, given the measurements, is, for errors so "
+        "many times as large as declared [-]",
+    )
     ratio_min: float = Field(
         2.0,
         ge=1,
@@ -195,6 +202,15 @@ class RtkConfig(Config):
     drift: DriftWatchConfig = DriftWatchConfig()
     reflections: ReflectionHypothesesConfig = ReflectionHypothesesConfig()
     float_solution: FloatConfig = FloatConfig()
+
+    @model_validator(mode="after")
+    def _posterior_probabilities_are_not_those_of_smaller_errors(self) -> RtkConfig:
+        if 0.0 < self.posterior_margin < 1.0:
+            raise ConfigError(
+                f"posterior_margin must be 0, or at least 1, got {self.posterior_margin:g}: with errors smaller than "
+                "declared wrong integers would be accepted more often than the limit"
+            )
+        return self
 
     @model_validator(mode="after")
     def _an_alarm_of_the_drift_watch_has_an_effect(self) -> RtkConfig:

@@ -106,6 +106,7 @@ RTK_RULES = record(
     fix_max_age="oldest corrections for new fixes [s]",
     fix_limit="largest risk of wrong integers [-]",
     ratio_min="floor of the ratio test [-]",
+    posterior="variance factor with which integers may be accepted by their probability given the measurements; 0: not",
     misfit=("f8", (MOST_AMBIGUITIES + 1,), "largest squared norm of a fix by its number of ambiguities"),
     attempts=("i8", "sets without one suspect to try"),
     max_candidates=("i8", "satellites searched at once"),

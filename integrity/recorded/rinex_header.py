@@ -95,7 +95,7 @@ class HeaderBuilder:
                     f"SYS / # / OBS TYPES of {system} must list {count} codes, got {len(self.codes[system])}"
                 )
         if not self.codes:
-            raise ValueError("the header must have SYS / # / OBS TYPES, got none: is it a RINEX 3 observation file?")
+            raise ValueError("the header must have SYS / # / OBS TYPES, got none: is it a RINEX observation file?")
         return Header(
             self.version, self.marker, self.receiver, self.antenna, self.position, self.offset,
             {s: self._columns(s, c) for s, c in self.codes.items()},
@@ -123,7 +123,7 @@ class HeaderBuilder:
         kind = text[20:21].upper()
         if not 3.0 <= self.version < 5.0:
             raise ValueError(
-                f"RINEX version must be 3 or 4, got {self.version:g}: convert the file (for instance with gfzrnx)"
+                f"RINEX version must be 2, 3 or 4, got {self.version:g}: convert the file (for instance with gfzrnx)"
             )
         if kind != "O":
             raise ValueError(f"the file must hold observations ('O'), got {text[20:40].strip()!r}")

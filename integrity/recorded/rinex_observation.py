@@ -1,9 +1,10 @@
-"""Reader of RINEX 3 and 4 observation files: code, phase, Doppler and strength of every signal at every epoch.
+"""Reader of RINEX 2 to 4 observation files: code, phase, Doppler and strength of every signal at every epoch.
 
 IGS/RTCM RINEX Version 3.04, table A3: an epoch line ``> year month day hour minute second flag number [clock]``, then
 one line for each satellite with 16 characters for each observation code: F14.3, loss-of-lock indicator, strength. Times
 are in the time system of the file; files in GLONASS time or UTC are refused because of their leap seconds. Rows of
-systems without a list of codes and a few values that are no numbers are left out and counted.
+systems without a list of codes and a few values that are no numbers are left out and counted. Version 2 is read in the
+form of version 3 (:mod:`.rinex2`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.recorded.rinex2 import as_version_3
 from lanebound.integrity.recorded.rinex_header import FIRST_LABEL, LABEL_AT, SYSTEMS, Header, HeaderBuilder
 from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
 from lanebound.integrity.sky.systems import PRN_BEFORE
@@ -115,27 +117,32 @@ class Observations:
 
 
 def read_observations(path: str | Path, max_bytes: int = MAX_BYTES) -> Observations:
-    """Read the observations of a RINEX 3 or 4 file, plain or gzip.
+    """Read the observations of a RINEX 2, 3 or 4 file, plain or gzip.
 
     An incomplete epoch at the end of the file is left out and reported in ``stopped``.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not a RINEX 3 or 4 observation file, is malformed before its last epoch, or has no
-        epoch.
+        The file cannot be read, is not a RINEX 2, 3 or 4 observation file, is malformed before its last epoch, or has
+        no epoch.
     """
     lines = Lines(path, max_bytes)
     parser = _Parser()
     refusal: Stop | None = None
-    for text in lines:
-        if refusal is not None and text.strip():
-            raise InputError(f"{path}, line {refusal.line}: {refusal.reason}")
-        if refusal is None and text.strip():
-            try:
-                parser.take(text)
-            except ValueError as error:
-                refusal = Stop(lines.number, str(error))
+    try:
+        for text in as_version_3(lines):
+            if refusal is not None and text.strip():
+                raise InputError(f"{path}, line {refusal.line}: {refusal.reason}")
+            if refusal is None and text.strip():
+                try:
+                    parser.take(text)
+                except ValueError as error:
+                    refusal = Stop(lines.number, str(error))
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(f"{path}, line {lines.number}: {error}") from None
     if refusal is None and lines.stop is None and parser.unfinished():
         refusal = Stop(lines.number, parser.unfinished())
     stopped = lines.stop or refusal

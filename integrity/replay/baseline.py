@@ -3,7 +3,9 @@
 Each epoch: single differences, a code position, then the RTK stages, which track carrier lock, resolve integers
 (LAMBDA, ratio test with fixed failure rate), detect and exclude faults, and compute protection levels. All signals that
 both receivers track help to find integers; the fixed position takes the first band. Without a fix the position is the
-code position with its own levels. There is no motion model: static and moving rovers are processed alike.
+code position with its own levels. There is no motion model: static and moving rovers are processed alike, unless the
+rover is said to stand (``static``): float ambiguities then take its position as one for all epochs. Fixed positions do
+not.
 """
 
 from __future__ import annotations
@@ -63,12 +65,23 @@ class RecordedRtkConfig(RtkConfig):
     max_candidates: int = Field(
         MOST_AMBIGUITIES, ge=4, le=MOST_AMBIGUITIES, description="signals whose ambiguities are estimated at once [-]"
     )
+    posterior_margin: float = Field(
+        1.25,
+        ge=0,
+        description="0: integers are fixed where their failure rate, known before the measurements, is within its "
+        "limit; 1 and more: also where their probability of being wrong, given the measurements, is, for errors so "
+        "many times as large as declared [-]",
+    )
     float_solution: RecordedFloatConfig = RecordedFloatConfig()
 
 
 class BaselineConfig(Config):
     """Parameters of the solution of recorded baselines and of its protection levels."""
 
+    static: bool = Field(
+        False,
+        description="the rover stands: the filter of float ambiguities takes its position as the same in all epochs",
+    )
     bands: int | None = Field(None, ge=1, le=3, description="bands of a system at most; None: all, up to three [-]")
     ionosphere_ppm: float = Field(
         0.5,
@@ -222,7 +235,7 @@ class _Session:
         latitude, longitude, _ = geodetic_from_ecef(place)
         self.axes = ecef_from_enu_matrix(latitude, longitude)
         self.entries = entries_of(choice, rover, base, table.satellites, config.rtk.cn0_min_dbhz)
-        self.stages = RtkStages(config.rtk, config.slips, config.fde, config.risk, self.entries)
+        self.stages = RtkStages(config.rtk, config.slips, config.fde, config.risk, self.entries, config.static)
         self.slips = SlipComparison(self.entries, config.rtk, config.slips)
         self.heading = 0.0
         self.before: Array | None = None

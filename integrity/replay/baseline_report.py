@@ -40,6 +40,8 @@ HEAD = (
     "pl_ct_m", "sigma_at_m", "sigma_ct_m", "satellites", "excluded", "wrong_fix_risk", "age_s",
 )  # fmt: skip
 
+STILL_M = 0.5  # of fixed positions of a rover that stands; beyond centimetres and what a pole sways
+
 CAUTION = (
     "epochs of one session are not independent: adjacent epochs share satellites, multipath and integers. The exact "
     "intervals are therefore too narrow"
@@ -70,7 +72,10 @@ def run_baseline(
     config, source = config or BaselineConfig(), "the header of its file" if base_ecef_m is None else "--base-position"
     place = base_antenna(base_data, base_ecef_m)
     away = _checked(rover_data, base_data, table, read_klobuchar(navigation), place, source) if len(table) else None
+    if config.static and len(table):
+        _require_standing(rover_data, base_data, table)
     solved = solve_baseline(rover_data, base_data, table, place, config, progress)
+    _require_still(solved, config)
     notes = {"rover": rover_data.note, "base": base_data.note, "navigation": table.stopped}
     summary = {
         "stopped": {name: note for name, note in notes.items() if note},
@@ -102,6 +107,28 @@ def _checked(
     """Distance of the base from where its own codes put it [m]; InputError where it cannot stand there."""
     choice = choose_signals(rover, base, 1)
     return require_base(CodePlaces(base, choice.base, choice, table, ionosphere), place, source)
+
+
+def _require_standing(rover: Observations, base: Observations, table: Ephemerides) -> None:
+    """Raise InputError where the codes of a rover that is said to stand show that it moves."""
+    choice = choose_signals(rover, base, 1)
+    if CodePlaces(rover, choice.rover, choice, table).moves:
+        raise InputError(
+            "the rover must stand with --static (static), its codes say that it moves: leave the option out"
+        )
+
+
+def _require_still(solved: Baseline, config: BaselineConfig) -> None:
+    """Raise InputError where the fixed positions of a rover that is said to stand, each of its own epoch, differ."""
+    places = solved.enu_m[solved.fixed]
+    if not config.static or not len(places):
+        return
+    away = float(np.linalg.norm((places - np.median(places, axis=0))[:, :2], axis=1).max())
+    if away > STILL_M:
+        raise InputError(
+            f"the rover must stand with --static (static), its fixed positions differ by {away:.1f} m: leave the "
+            "option out, or cut the files to the time in which it stands"
+        )
 
 
 def _distance_to_header(place: Array, header: Array | None) -> float | None:
@@ -170,10 +197,11 @@ def _lacking(solved: Baseline, waiting: NDArray[np.bool_]) -> dict[str, Any]:
             f"on the bands in use (rover: {used})"
         )
     else:
+        also = ", which what was measured did not meet either" if solved.rtk.posterior_margin > 0.0 else ""
         bands = "" if solved.choice.bands >= 2 else ", a second band"
         what = (
             f"the failure rate of the integers of {signals:g} signals was {rate:.1e} (median), its limit is "
-            f"{solved.failure_limit:.1e}: more satellites{bands}, a shorter baseline or a longer time lower it"
+            f"{solved.failure_limit:.1e}{also}: more satellites{bands}, a shorter baseline or a longer time lower it"
         )
     return {"failure_rate_median": rate, "failure_limit": solved.failure_limit, "signals_median": signals,
             "what": what}  # fmt: skip

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.sagnac import ranges_and_sights
-from lanebound.integrity.replay.signal_choice import COLUMNS, LETTERS, USUAL_CN0_DBHZ, Choice, comparable_cn0
+from lanebound.integrity.replay.signal_choice import (
+    COLUMNS,
+    LETTERS,
+    USUAL_CN0_DBHZ,
+    Choice,
+    comparable_cn0,
+    strength_dbhz,
+)
 from lanebound.integrity.sky.broadcast import Ephemerides, positions
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS
 
@@ -80,7 +87,7 @@ def arc_of(observations: Observations, codes: dict[str, tuple[str, ...]], choice
             phase[(*at, band)] = rows.column(f"L{name}")[keep] * choice.wavelength_m[system, band]
             lost[(*at, band)] = rows.lost_lock(f"L{name}")[keep]
             half[(*at, band)] = rows.half_cycle(f"L{name}")[keep]
-            strength = rows.column(f"S{name}")[keep]
+            strength = strength_dbhz(rows, name)[keep]
             cn0[(*at, band)] = np.where(strength > 0.0, comparable_cn0(name, strength), USUAL_CN0_DBHZ)
     lost |= observations.power_failed[:, None, None]
     first = np.take_along_axis(code, (code != 0.0).argmax(-1)[..., None], -1)[..., 0]

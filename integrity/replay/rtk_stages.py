@@ -22,6 +22,7 @@ from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConf
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
 from lanebound.integrity.navigators.rtk_reckoning.navigator import (
     arrays_of,
+    blank_filters,
     blank_outputs,
     blank_state,
     blank_work,
@@ -78,11 +79,13 @@ class RtkStages:
     ----------
     rtk, slips, fde, risk : their configurations; ``max_candidates`` of rtk counts signals
     entries : the signals
+    stands : the receiver does not move
     """
 
     def __init__(
-        self, rtk: RtkConfig, slips: CycleSlipConfig, fde: FdeConfig, risk: RiskConfig, entries: Entries
-    ) -> None:
+        self, rtk: RtkConfig, slips: CycleSlipConfig, fde: FdeConfig, risk: RiskConfig, entries: Entries,
+        stands: bool = False,
+    ) -> None:  # fmt: skip
         exact = risk.replace(variant=Variant.EXACT)
         most = min(rtk.max_candidates, max(len(entries.clock), FEWEST))
         positioning = {"rtk": rtk.to_dict() | {"max_candidates": FEWEST}, "slips": slips.to_dict()}
@@ -96,7 +99,8 @@ class RtkStages:
             case_table(config.cases, exact, 0.0), *separation_thresholds(config, len(system)),
         )  # fmt: skip
         n = len(system)
-        state = blank_state(1, n, tables.prior.size, 1, rtk.replace(max_candidates=most))
+        rtk = rtk.replace(max_candidates=most)
+        state = blank_state(1, n, tables.prior.size, 1, rtk)._replace(filtered=blank_filters(1, rtk, stands))
         work, out = blank_work(1, n, 1), blank_outputs(1, n, 1)
         measured = Measured(
             np.zeros((1, n, 3)), np.zeros(1, np.int64), np.zeros((1, n), np.bool_), np.zeros((1, n)),

@@ -19,10 +19,19 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
-from lanebound.integrity.recorded.rinex_observation import Observations
+from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 
-__all__ = ["BAND_MHZ", "COLUMNS", "LETTERS", "USUAL_CN0_DBHZ", "Choice", "choose_signals", "comparable_cn0"]
+__all__ = [
+    "BAND_MHZ",
+    "COLUMNS",
+    "LETTERS",
+    "USUAL_CN0_DBHZ",
+    "Choice",
+    "choose_signals",
+    "comparable_cn0",
+    "strength_dbhz",
+]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -38,6 +47,7 @@ BAND_MHZ = {
     "J": {"1": 1575.42, "2": 1227.60, "5": 1176.45, "6": 1278.75},
 }
 WIDE_MHZ, NEAR_SHARE = 100.0, 0.5  # E5a and E5b are 31 MHz apart, L1 and L2 348 MHz
+MOST_INDICATOR = 9.0  # signal strength indicators are 1 to 9
 USUAL_CN0_DBHZ = 45.0  # for receivers that do not record the C/N0
 WEAK = 1e-6  # weight of a signal below the lowest C/N0: better than none
 MARGIN_S = 1.0  # of the overlap in time
@@ -161,6 +171,15 @@ def comparable_cn0(name: str, cn0_dbhz: NDArray[np.float64]) -> NDArray[np.float
     return cn0_dbhz + SEMI_CODELESS_DB if name[1:] == "W" else cn0_dbhz
 
 
+def strength_dbhz(rows: SystemRows, name: str) -> Array:
+    """C/N0 of the rows in the signal ``name`` (a code without its first letter), 0 for none.  (N,) [dB-Hz].
+
+    Some files hold RINEX indicators of 1 to 9 instead: level n begins at ``6 n`` dB-Hz (RINEX 3.04 section 5.7).
+    """
+    strength = rows.column(f"S{name}")
+    return 6.0 * strength if 0.0 < strength.max(initial=0.0) <= MOST_INDICATOR else strength
+
+
 def _codes_of(observations: Observations) -> str:
     return "; ".join(f"{s} {' '.join(c)}" for s, c in observations.header.codes.items()) or "nothing"
 
@@ -208,7 +227,7 @@ def _strengths(
             continue  # B1C or B1I: not defined in older tables
         whole = (rows.column(f"C{name}") != 0.0) & (rows.column(code) != 0.0) & within[rows.epoch]
         if whole.any():
-            cn0 = rows.column(f"S{name}")
+            cn0 = strength_dbhz(rows, name)
             cn0 = np.where(cn0 > 0.0, comparable_cn0(name, cn0) if comparable else cn0, USUAL_CN0_DBHZ)
             weight = np.where(cn0 >= least, 1.0 / (1.0 + 10.0 ** (0.1 * (knee - cn0))), WEAK)
             total = np.bincount(rows.satellite, np.where(whole, weight, 0.0), PRNS)

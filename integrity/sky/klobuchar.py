@@ -1,4 +1,4 @@
-"""The ionospheric model that GPS broadcasts (Klobuchar 1987; IS-GPS-200N 20.3.3.5.2.5), and its figures in RINEX 3.
+"""The ionospheric model that GPS broadcasts (Klobuchar 1987; IS-GPS-200N 20.3.3.5.2.5), and its figures in RINEX.
 
 The vertical delay at the pierce point is a half cosine over the local day, largest at 14:00, on 5 ns by night. Its
 amplitude and period are cubic polynomials of the geomagnetic latitude. All angles of the model are in semicircles.

@@ -1,4 +1,4 @@
-"""Reader of RINEX 3 and 4 navigation files: GPS, Galileo, BeiDou and QZSS messages as :class:`Ephemerides`.
+"""Reader of RINEX 2 to 4 navigation files: GPS, Galileo, BeiDou and QZSS messages as :class:`Ephemerides`.
 
 Messages of other systems (GLONASS, SBAS, NavIC) and, in RINEX 4, of other forms (CNAV) are skipped and counted. A
 truncated file gives the messages before the truncation and the place of it. Text that is not RINEX is refused.
@@ -21,6 +21,7 @@ import numpy as np
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.constellation import SECONDS_PER_WEEK
 from lanebound.integrity.sky.ephemeris import Ephemerides
+from lanebound.integrity.sky.rinex2_navigation import as_version_3
 from lanebound.integrity.sky.systems import PRN_BEFORE, System
 
 __all__ = ["navigation_text", "parse_navigation", "read_navigation"]
@@ -73,18 +74,18 @@ class _Message:
 
 
 def read_navigation(path: str | Path) -> Ephemerides:
-    """Read the messages of a RINEX 3 or 4 navigation file, plain or gzip; see :func:`parse_navigation`.
+    """Read the messages of a RINEX 2, 3 or 4 navigation file, plain or gzip; see :func:`parse_navigation`.
 
     Raises
     ------
     InputError
-        The file cannot be read, is too large, is not a RINEX 3 or 4 navigation file, or has a malformed line.
+        The file cannot be read, is too large, is not a RINEX 2, 3 or 4 navigation file, or has a malformed line.
     """
     return parse_navigation(navigation_text(path), source=str(path))
 
 
 def navigation_text(path: str | Path) -> str:
-    """The text of a navigation file, plain or gzip (detected by its first bytes).
+    """The text of a navigation file, plain or gzip (detected by its first bytes), RINEX 2 in the form of RINEX 3.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def navigation_text(path: str | Path) -> str:
         raise InputError(f"navigation file {path} must be a readable text file, got: {exc}") from exc
     if max(size, len(raw)) > LARGEST_BYTES:
         raise InputError(f"navigation file {path} must have at most {LARGEST_BYTES} bytes: cut it into days")
-    return raw.decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
+    return as_version_3(raw.decode("latin-1").removeprefix("\u00ef\u00bb\u00bf"), str(path))
 
 
 def parse_navigation(text: str, source: str = "text") -> Ephemerides:
@@ -171,8 +172,8 @@ def _after_header(lines: list[str], start: int, source: str) -> int:
     version, kind = first[:9].strip(), first[20:21].upper()
     if not version.startswith(("3.", "4.")) or kind != "N":
         raise InputError(
-            f"{where}: version 3 or 4 and type N (navigation) are needed, got {version!r} and {kind!r}: convert the "
-            "file (for instance with gfzrnx), or pass that of navigation messages"
+            f"{where}: version 2 to 4 and type N (navigation; of version 2 GPS alone) are needed, got {version!r} and "
+            f"{kind!r}: convert the file (for instance with gfzrnx), or pass that of navigation messages"
         )
     for i, line in enumerate(lines[start:], start):
         if line[60:80].strip() == "END OF HEADER":

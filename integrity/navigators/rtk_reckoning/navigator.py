@@ -204,10 +204,13 @@ def blank_state(batch: int, satellites: int, modes: int, cases: int, rtk: RtkCon
     )  # fmt: skip
 
 
-def blank_filters(batch: int, rtk: RtkConfig) -> Filtered:
-    """Filters of float ambiguities that know nothing; without a slot where floats come from single epochs."""
+def blank_filters(batch: int, rtk: RtkConfig, stands: bool = False) -> Filtered:
+    """Filters of float ambiguities that know nothing; without a slot where floats come from single epochs.
+
+    ``stands``: the receivers do not move, and their position is a state of the filter.
+    """
     slots = rtk.max_candidates if rtk.float_solution.kind == "sequential" else 0
-    n = STATES * slots + 1
+    n = STATES * slots + (4 if stands and slots else 1)
     return Filtered(
         np.zeros(batch, FILTER_ROW), np.zeros((batch, slots), SLOT), np.zeros((batch, n, n)), np.zeros((batch, n)),
         np.zeros((batch, n, n)), np.zeros((batch, MEASURED * slots, n)),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2, poisson
 
 from lanebound.integrity.navigators.rtk_reckoning.navigator import blank_filters
 from lanebound.integrity.positioning.codes_kernel import FIXED
@@ -54,6 +54,8 @@ class Session:
     ambiguities: NDArray[np.void]
     los: Array
     true: Array
+    code_m: float = CODE_M
+    phase_m: float = PHASE_M
 
     def add(self, code_error: Array, phase_error: Array, x: Array, used: NDArray[np.bool_] | None = None,
             gap_s: float = 1.0) -> Carriers:  # fmt: skip
@@ -64,10 +66,10 @@ class Session:
         wave, range_m = self.satellites["wavelength"], -(self.los @ x)[:, None]
         code = range_m + clock[:, 0] + code_error
         phase = range_m + clock[:, 1] + wave * self.true + phase_error
-        carriers = Carriers(self.los, self.satellites, phase, np.full(N, PHASE_M**2))
+        carriers = Carriers(self.los, self.satellites, phase, np.full(N, self.phase_m**2))
         fade(self.own, gap_s, self.rules)
         assign_slots(self.own, carriers, code, np.flatnonzero(used), int(used.sum()), self.ambiguities, self.rules)
-        assert add_epoch(self.own, carriers, code, np.full(N, CODE_M**2), used, used, self.rules)
+        assert add_epoch(self.own, carriers, code, np.full(N, self.code_m**2), used, used, self.rules)
         return carriers
 
     def floats(
@@ -81,7 +83,7 @@ class Session:
         return a[:n], q[:n, :n], owner[:n]
 
 
-def session(seed: int = 1, slots: int = 12, **floats: float) -> Session:
+def session(seed: int = 1, slots: int = 12, stands: bool = False, **floats: float) -> Session:
     rules = rtk_parameters(RtkConfig(max_candidates=slots, float_solution={"kind": "sequential", **floats}), 2, 1e-5)[0]
     satellites = np.zeros(N, SATELLITE)
     satellites["system"], satellites["fixable"] = SYSTEM, True
@@ -89,7 +91,7 @@ def session(seed: int = 1, slots: int = 12, **floats: float) -> Session:
     config = RtkConfig(max_candidates=slots, float_solution={"kind": "sequential"})
     true = np.round(np.random.default_rng(seed).uniform(-1e6, 1e6, (N, 2)))
     return Session(
-        FilterRow(*(array[0] for array in blank_filters(1, config)[1:])),
+        FilterRow(*(array[0] for array in blank_filters(1, config, stands)[1:])),
         rules,
         satellites,
         np.zeros(N, AMBIGUITY),
@@ -113,19 +115,21 @@ def drawn(rng: np.random.Generator, epochs: int, tau_s: float, sigma: float) -> 
     return out
 
 
-def batch(s: Session, times: list[tuple[Array, Array, Array, NDArray[np.bool_]]]) -> tuple[Array, Array]:
-    """White least squares over all epochs at once, with every clock and position an unknown: (a, Q) of floats."""
+def batch(s: Session, times: list[tuple[Array, Array, Array, NDArray[np.bool_]]], stands: bool) -> tuple[Array, Array]:
+    """White least squares over all epochs at once, with every clock and position an unknown, or one position where the
+    receiver ``stands``: (a, Q) of floats. Epochs are code, phase, lines of sight and which satellites are used."""
     wave, pairs = s.satellites["wavelength"], [(u, b) for u in range(N) for b in range(2)]
     firsts = {0: 0, 1: int(np.flatnonzero(SYSTEM == 1)[0])}
     states = {(u, b): i for i, (u, b) in enumerate(p for p in pairs if p[0] not in firsts.values())}
     rows, y, sigma, wide = [], [], [], len(states) + len(times) * (3 + 8)
-    for k, (code, phase, _, used) in enumerate(times):
+    for k, (code, phase, los, used) in enumerate(times):
         base = len(states) + k * 11
         for u in np.flatnonzero(used):
             for b in range(2):
                 for kind, value in ((0, code[u, b]), (1, phase[u, b])):
                     row = np.zeros(wide)
-                    row[base : base + 3] = -s.los[u]
+                    place = len(states) if stands else base
+                    row[place : place + 3] = -los[u]
                     row[base + 3 + 4 * SYSTEM[u] + 2 * kind + b] = 1.0
                     if kind == 1 and (u, b) in states:
                         row[states[u, b]] = wave[u, b]
@@ -168,22 +172,26 @@ def test_one_epoch_gives_the_float_solution_of_that_epoch() -> None:
     np.testing.assert_allclose(q, wanted.covariance[: wanted.n, : wanted.n], rtol=1e-6, atol=1e-9)
 
 
-def test_white_errors_give_batch_least_squares_with_satellites_that_come_and_go() -> None:
-    s = session(memory_s=1e12, code_tau_s=1e-3, phase_tau_s=1e-3)
+@pytest.mark.parametrize("stands", [False, True])
+def test_white_errors_give_batch_least_squares_with_satellites_that_come_and_go(stands: bool) -> None:
+    s = session(stands=stands, memory_s=1e12, code_tau_s=1e-3, phase_tau_s=1e-3)
+    start, later, rest = s.los, sky(8), np.array([3.0, -2.0, 1.0])
     rng, times = np.random.default_rng(4), []
     seen = np.ones((6, N), np.bool_)
     seen[:2, 3], seen[3:, 7] = False, False  # one rises, one sets
     for k in range(6):
-        x, used = rng.normal(0.0, 10.0, 3), seen[k]
+        x, used = rest if stands else rng.normal(0.0, 10.0, 3), seen[k]
+        s.los = start + 0.1 * k * (later - start)
+        s.los /= np.linalg.norm(s.los, axis=1)[:, None]
         if k == 3:
             drop_slot(s.own, follows(s.own.slots, 7), s.rules)
         code_error, phase_error = rng.normal(0, CODE_M, (N, 2)), rng.normal(0, PHASE_M, (N, 2))
         carriers = s.add(code_error, phase_error, x, used)
         clock = 100.0 * np.random.default_rng(int(abs(x[0]) * 1e6) % 2**32).standard_normal((2, 2, 2))[SYSTEM]
-        times.append((-(s.los @ x)[:, None] + clock[:, 0] + code_error, carriers.phase, x, used))
+        times.append((-(s.los @ x)[:, None] + clock[:, 0] + code_error, carriers.phase, s.los, used))
     rows = np.delete(np.arange(N), 7)
     a, q, owner = s.floats(carriers, rows)
-    wanted, covariance = batch(s, times)
+    wanted, covariance = batch(s, times, stands)
     keep = np.array([i for i in range(14) if i // 2 != 5])  # without the satellite that has set
     assert len(a) == keep.size
     np.testing.assert_allclose(a, wanted[keep], atol=2e-4)
@@ -276,3 +284,41 @@ def test_wrong_integers_stay_within_the_limit_under_lasting_errors(tau_s: float)
                 break
     assert fixed > 0.5 * runs
     assert wrong <= chi2.isf(1e-3, 2 * (limit * runs + 1)) / 2  # above the limit by chance once in a thousand
+
+
+def first_fix(run: int, tau_s: float, times: float, limit: float, margin: float) -> tuple[int, bool, float]:
+    """The epoch, 5 s apart, of the first fix of a session with a weak geometry (20: none), whether it is wrong, and its
+    stated risk; errors last ``tau_s`` (declared: 30 s) and are ``times`` the declared ones."""
+    s = session(run % 40 + 11, memory_s=100.0, code_tau_s=30.0, phase_tau_s=30.0)
+    s.code_m, s.phase_m = 1.0, 0.012
+    s.rules["fix_limit"], s.rules["ratio_min"], s.rules["posterior"] = limit, 2.0, margin**2
+    rng = np.random.default_rng([12, run])
+    code, phase = (drawn(rng, 20, tau_s / 5.0, times * sigma) for sigma in (s.code_m, s.phase_m))
+    for k in range(20):
+        carriers = s.add(code[k], phase[k], rng.normal(0.0, 10.0, 3), gap_s=5.0)
+        x, q = np.zeros(3), np.eye(3)
+        status, _ = resolve(carriers, ~s.ambiguities["held"], s.ambiguities, s.rules, x, q, s.own, True, 1)
+        if status == FIXED:
+            return k, is_wrong(s), float(s.ambiguities["fix_risk"].max())
+    return 20, False, 0.0
+
+
+def test_integers_are_accepted_earlier_by_their_probability() -> None:
+    """As often wrong as stated, at most: 1e-4 of false alarms."""
+    known = np.array([first_fix(run, 30.0, 1.0, 0.02, 0.0)[0] for run in range(60)])
+    runs, stated, wrong, epochs = 1500, 0.0, 0, []
+    for run in range(runs):
+        epoch, is_off, risk = first_fix(run, 30.0, 1.0, 0.02, 1.0)
+        wrong, stated = wrong + is_off, stated + risk
+        epochs.append(epoch)
+    assert np.mean(epochs[:60]) < 0.3 * known.mean()
+    assert wrong <= poisson.isf(1e-4, stated)
+    assert wrong <= poisson.isf(1e-4, 0.02 * runs)
+
+
+@pytest.mark.parametrize(("times", "margin"), [(1.0, 1.25), (1.25, 1.25), (1.5, 1.5)])
+def test_wrong_integers_stay_within_the_limit_for_errors_within_the_margin(times: float, margin: float) -> None:
+    """Errors that last the declared time; 1e-4 of false alarms."""
+    runs, limit = 600, 0.02
+    wrong = sum(first_fix(run, 30.0, times, limit, margin)[1] for run in range(runs))
+    assert wrong <= poisson.isf(1e-4, limit * runs)

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, poisson
 
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, TOO_FEW
 from lanebound.integrity.positioning.float_filter_kernel import SLOT, FilterRow
 from lanebound.integrity.positioning.parameters import rtk_parameters
@@ -75,6 +76,7 @@ class _Problem:
     def resolve(
         self, *, candidate: Bools | None = None, bands: int = 2, limit: float = 1e-3, ratio: float = 1.0,
         most: int = 16, least: int = 5, further: int = 3, fix: int = 7, fit: float = 0.0, attempts: int = 0,
+        margin: float = 0.0,
     ) -> int:  # fmt: skip
         """Run the kernel on everything that is not held; state is changed in place."""
         wanted = ~self.held if candidate is None else candidate
@@ -86,6 +88,7 @@ class _Problem:
             fit_limits(fit),
             attempts,
         )
+        rules["posterior"] = margin**2
         rules["max_candidates"], rules["min_satellites"], rules["min_further"] = most, least, further
         status, _ = resolve(self.carriers, wanted, self.fixes, rules, x, q, NO_FILTER, False, fix)
         return int(status)
@@ -357,3 +360,20 @@ def test_a_set_without_a_suspect_must_be_safer_by_the_number_of_suspects() -> No
     p.phase += 0.3 * np.random.default_rng(1).standard_normal(p.phase.shape)
     assert p.resolve(limit=0.2, ratio=2.0, fit=0.01, attempts=16) == RATIO_FAILED
     _assert_nothing_held(p)
+
+
+def test_probabilities_of_smaller_errors_than_declared_are_refused() -> None:
+    assert RtkConfig().posterior_margin == 0.0
+    with pytest.raises(ConfigError, match=r"posterior_margin must be 0, or at least 1, got 0\.5"):
+        RtkConfig(posterior_margin=0.5)
+
+
+def test_a_set_above_its_failure_rate_is_fixed_by_what_was_measured() -> None:
+    """Without noise other integers are improbable at once; by the rate alone nothing is fixed, and nothing in doubt."""
+    known, given, noisy = (_problem(4, noise=noise, sigma_code=0.3) for noise in (0.0, 0.0, 1.5))
+    assert known.resolve(limit=1e-4, bands=1) == NOT_CONVERGED
+    assert given.resolve(limit=1e-4, bands=1, margin=1.25) == FIXED
+    assert not given.wrong(1)
+    assert 0.0 < given.fix_risk.max() <= 0.5e-4
+    assert noisy.resolve(limit=1e-4, bands=1, margin=1.25) == NOT_CONVERGED
+    _assert_nothing_held(noisy)

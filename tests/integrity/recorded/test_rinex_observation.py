@@ -135,7 +135,7 @@ def test_a_cut_file_gives_whole_epochs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("     3.04", "     2.11", "version must be 3 or 4"),
+        ("     3.04", "     1.00", "version must be 2, 3 or 4"),
         ("OBSERVATION DATA", "NAVIGATION DATA ", "must hold observations"),
         ("     GPS ", "     GLO ", "must be in GPS"),
         ("G    4", "G    5", "must list 5 codes, got 4"),

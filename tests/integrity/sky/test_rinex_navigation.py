@@ -90,7 +90,7 @@ def test_an_orbit_that_cannot_be_is_left_out_with_its_reason() -> None:
     [
         ("", "RINEX VERSION / TYPE"),
         ("hello\n", "RINEX VERSION / TYPE"),
-        (HEADER.replace("3.04", "2.11"), "version 3"),
+        (HEADER.replace("3.04", "1.00"), "version 2"),
         (HEADER.replace("N: GNSS NAV", "OBSERVATION"), "type N"),
         (HEADER.splitlines()[0], "END OF HEADER"),
         (HEADER + "    1.0\n", "must start in column 1"),
