@@ -44,9 +44,7 @@ __all__ = [
 
 NONE, OPEN, FOLLOWS = 0, 1, 2
 REACQUIRE_S = 1.0  # of Doppler courses refused for their jump, before the heading follows them, at least
-GYRO_FAULT_RADPS = math.radians(
-    30.0
-)  # error of a gyro that shows nothing in a turn of 12 m at 6 m/s
+GYRO_FAULT_RADPS = math.radians(30.0)  # error of a gyro that shows nothing in a turn of 12 m at 6 m/s
 AGREE_S = 1.0  # of courses accepted while both headings are alike, until the doubt ends
 DECISIVE_M = 1.0  # between the paths by two headings, until RTK decides; 20 times its level
 
