@@ -367,13 +367,14 @@ def resolve(
     first, rest = FIRST_SHARE * left, (1.0 - FIRST_SHARE) * left
     status, rate, sets = attempt(carriers, candidate, ambiguities, source, rules, first, next_id, 0.0, chosen, relieved)
     others = candidate.copy()
+    further = rate + rest if rate <= first else first + rest - rest / max(sets, 1)  # with its own within the limit
     for _ in range(min(rules.attempts, sets)):
         worst = np.argmax(relieved)
         relieved[worst] = -1.0
         for s in range(n_sat):
             others[s] = candidate[s] and owner_of(carriers.satellites, s) != worst
         again, _, _ = attempt(
-            carriers, others, ambiguities, source, rules, rest / sets, next_id, min(rate, first) + rest, chosen, unread
+            carriers, others, ambiguities, source, rules, rest / sets, next_id, further, chosen, unread
         )
         if again == FIXED:
             return FIXED, rate

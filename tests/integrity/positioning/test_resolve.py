@@ -377,3 +377,14 @@ def test_a_set_above_its_failure_rate_is_fixed_by_what_was_measured() -> None:
     assert 0.0 < given.fix_risk.max() <= 0.5e-4
     assert noisy.resolve(limit=1e-4, bands=1, margin=1.25) == NOT_CONVERGED
     _assert_nothing_held(noisy)
+
+
+def test_attempts_after_a_refused_probability_stay_within_the_limit() -> None:
+    """The first set counts with its share of the limit, however large its failure rate is."""
+    limit, again = 0.01, 0
+    for seed in range(300):
+        p = _problem(30_000 + seed, sigma_code=0.15)
+        if p.resolve(bands=1, limit=limit, fit=0.5, attempts=6, margin=1.0) == FIXED:
+            assert held_risk(p.fixes) <= limit
+            again += held_risk(p.fixes) >= 0.5 * limit
+    assert again > 10

@@ -13,7 +13,7 @@ from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.replay.differences import arc_of
 from lanebound.integrity.replay.pair_signals import entries_of
-from lanebound.integrity.replay.signal_choice import choose_signals
+from lanebound.integrity.replay.signal_choice import choose_signals, strength_dbhz
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 
 
@@ -158,3 +158,13 @@ def test_no_more_clocks_are_used_than_there_are(one: Observations) -> None:
         for c in range(len(choice.rover[n]))
     ]
     assert len(set(used)) == len(used)
+
+
+def test_strengths_of_1_to_9_are_indicators(one: Observations) -> None:
+    """Level n begins at 6 n dB-Hz; files of C/N0 are as they are."""
+    rows = one.rows["G"]
+    column = rows.codes.index("S1C")
+    for written, read in ((7.0, 42.0), (9.0, 54.0), (10.0, 10.0), (45.0, 45.0), (0.0, 0.0)):
+        value = rows.value.copy()
+        value[:, column] = written
+        assert set(strength_dbhz(replace(rows, value=value), "1C")) == {read}
