@@ -66,7 +66,7 @@ class RecordedRtkConfig(RtkConfig):
         MOST_AMBIGUITIES, ge=4, le=MOST_AMBIGUITIES, description="signals whose ambiguities are estimated at once [-]"
     )
     posterior_margin: float = Field(
-        1.25,
+        1.5,
         ge=0,
         description="0: integers are fixed where their failure rate, known before the measurements, is within its "
         "limit; 1 and more: also where their probability of being wrong, given the measurements, is, for errors so "
