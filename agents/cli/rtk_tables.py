@@ -58,12 +58,12 @@ def _print_rtk_notes(found: dict[str, Any]) -> None:
 def _print_place_notes(found: dict[str, Any]) -> None:
     """Print where given positions do not fit the codes of a receiver, or the fixed baseline."""
     from lanebound.integrity.replay.code_places import NEAR_M
-    from lanebound.integrity.replay.pair_checks import BASE_GIVEN, ROVER_GIVEN
 
-    remedy = "correct" if found["base_antenna_from"] == BASE_GIVEN else "give"
+    given = found["positions_given_by"]
+    remedy = "correct" if found["base_antenna_from"] == given["base"] else "give"
     places = (
-        ("base", f"positions may be wrong by as much, {remedy} {BASE_GIVEN} of its antenna"),
-        ("rover", f"errors may be wrong by as much, correct {ROVER_GIVEN} of its antenna"),
+        ("base", f"positions may be wrong by as much, {remedy} {given['base']} of its antenna"),
+        ("rover", f"errors may be wrong by as much, correct {given['rover']} of its antenna"),
     )
     for name, what in places:
         away = found.get(f"{name}_from_codes_m") or 0.0
@@ -73,23 +73,21 @@ def _print_place_notes(found: dict[str, Any]) -> None:
                 f"{what}",
                 err=True,
             )
-    fit = found.get("fixed_baseline") or {"likely": None}
-    if fit["likely"] is not None:
+    fit = found.get("fixed_baseline")
+    if fit is not None and fit["likely"] is not None:
         typer.echo(f"note: the fixed baseline is {fit['off_m']:.2f} m from that of the two positions: {_likely(found)}",
                    err=True)  # fmt: skip
 
 
 def _likely(found: dict[str, Any]) -> str:
-    from lanebound.integrity.replay.pair_checks import BASE_GIVEN, ROVER_GIVEN
-
-    fit = found["fixed_baseline"]
+    fit, given = found["fixed_baseline"], found["positions_given_by"]
     if fit["likely"] == "swapped":
         return (
-            f"{BASE_GIVEN} and {ROVER_GIVEN} are probably swapped, exchanged they are {fit['off_swapped_m']:.2f} m "
-            "from it; exchange them, or --rover and --base"
+            f"they are probably swapped, exchanged they are {fit['off_swapped_m']:.2f} m from it; exchange "
+            f"{given['base']} and {given['rover']}, or the files of rover and base"
         )
     return (
-        f"one of them is probably wrong by as much, check {ROVER_GIVEN} and the base's from "
+        f"one of them is probably wrong by as much, check {given['rover']} and that of the base, from "
         f"{found['base_antenna_from']}; less likely, integers are wrong"
     )
 

@@ -27,7 +27,8 @@ from lanebound.integrity.recorded.rinex_observation import WEEK_S, read_observat
 from lanebound.integrity.recorded.source import finite_number
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, base_antenna, on_earth, solve_baseline
 from lanebound.integrity.replay.pair_checks import (
-    BASE_GIVEN,
+    OPTIONS,
+    GivenBy,
     baseline_fit,
     check_places,
     navigation_notes,
@@ -55,15 +56,15 @@ CAUTION = (
 
 def run_baseline(
     rover: Path, base: Path, navigation: Sequence[Path], out: Path, *, base_ecef_m: Array | None = None,
-    rover_ecef_m: Array | None = None, config: BaselineConfig | None = None,
-    progress: Progress = silent,
+    rover_ecef_m: Array | None = None, config: BaselineConfig | None = None, progress: Progress = silent,
+    given: GivenBy = OPTIONS,
 ) -> tuple[dict[str, Any], list[Path]]:  # fmt: skip
     """Solve RINEX files of a rover, a base and their navigation, which are merged.
 
     Writes ``solution.csv`` and ``rtk.json`` into ``out``.
     ``base_ecef_m`` and ``rover_ecef_m`` (3,) are antenna reference points: of the base, by default that of its header,
     and of a rover that stands, if its true position is known; errors are then reported. ``progress`` is called with the
-    number of solved epochs and the total number.
+    number of solved epochs and the total number. ``given`` names the inputs of the positions in messages.
 
     Raises
     ------
@@ -76,11 +77,13 @@ def run_baseline(
     require_two_receivers(rover_data, base_data)
     files = {str(path): read_navigation(path) for path in navigation}
     table = Ephemerides.merged(list(files.values()))
-    config, source = config or BaselineConfig(), "the header of its file" if base_ecef_m is None else BASE_GIVEN
+    config, source = config or BaselineConfig(), "the header of its file" if base_ecef_m is None else given.base
     place = base_antenna(base_data, base_ecef_m)
     away: tuple[float | None, float | None] = None, None
     if len(table):
-        away = check_places(rover_data, base_data, table, read_klobuchar(navigation), place, source, rover_ecef_m)
+        away = check_places(
+            rover_data, base_data, table, read_klobuchar(navigation), place, source, rover_ecef_m, given
+        )
         if config.static:
             require_standing(rover_data, base_data, table)
     solved = solve_baseline(rover_data, base_data, table, place, config, progress)
@@ -93,6 +96,7 @@ def run_baseline(
         "signals": {"rover": solved.choice.rover, "base": solved.choice.base},
         "base_antenna_ecef_m": solved.base_ecef_m.tolist(),
         "base_antenna_from": source,
+        "positions_given_by": given._asdict(),
         "base_from_codes_m": away[0],
         "base_from_header_m": _distance_to_header(solved.base_ecef_m, base_data.header.antenna_ecef_m),
         "half_cycle_share": {"rover": rover_data.half_cycle_share, "base": base_data.half_cycle_share},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +17,25 @@ from lanebound.integrity.sky.broadcast import VALID_FOR_S, Ephemerides
 from lanebound.integrity.sky.klobuchar import Klobuchar
 
 __all__ = [
-    "BASE_GIVEN", "ROVER_GIVEN", "STILL_M", "baseline_fit", "check_places", "navigation_notes",
-    "require_standing", "require_still", "require_two_receivers",
+    "OPTIONS", "STILL_M", "GivenBy", "baseline_fit", "check_places", "navigation_notes", "require_standing",
+    "require_still", "require_two_receivers",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
 
-BASE_GIVEN, ROVER_GIVEN = "--base-position", "--rover-position"
 STILL_M = 0.5  # of fixed positions of a receiver that stands; beyond centimetres and what a pole sways
 SAME_SHARE = 0.5  # of values that two files have in common; those of two receivers differ in the last digits
 FEWEST_SAME = 20  # values
+
+
+class GivenBy(NamedTuple):
+    """The inputs by which a user gives the positions of base and rover, as messages name them."""
+
+    base: str = "--base-position"
+    rover: str = "--rover-position"
+
+
+OPTIONS = GivenBy()
 
 
 def require_two_receivers(rover: Observations, base: Observations) -> None:
@@ -58,7 +67,7 @@ def _equal_values(rover: Observations, base: Observations) -> Iterator[tuple[int
 
 def check_places(
     rover: Observations, base: Observations, table: Ephemerides, ionosphere: Klobuchar | None, base_m: Array,
-    source: str, rover_m: Array | None,
+    source: str, rover_m: Array | None, given: GivenBy,
 ) -> tuple[float | None, float | None]:  # fmt: skip
     """Distances of the base, at ``base_m`` (3,) from ``source``, and of a rover that is said to stand at ``rover_m``
     from where their own codes put them [m]; None without positions from codes, or of the rover.
@@ -70,16 +79,23 @@ def check_places(
     """
     choice = choose_signals(rover, base, 1)
     own = CodePlaces(base, choice.base, choice, table, ionosphere)
-    _require_base(own, base_m, source, rover_m)
-    away = own.distance_m(base_m)
-    if rover_m is None:
-        return away, None
-    theirs = CodePlaces(rover, choice.rover, choice, table, ionosphere)
-    _require_rover(theirs, rover_m)
-    return away, theirs.distance_m(rover_m)
+    theirs = None if rover_m is None else CodePlaces(rover, choice.rover, choice, table, ionosphere)
+    remedy = f"{'correct' if source == given.base else 'give'} {given.base}"
+    if theirs is not None and rover_m is not None and _is_at(own, rover_m) and _is_at(theirs, base_m):
+        remedy = f"{given.rover} fits them, and that of the base the rover's: exchange the two, or rover and base"
+    _require_base(own, base_m, source, remedy)
+    if theirs is None or rover_m is None:
+        return own.distance_m(base_m), None
+    _require_rover(theirs, rover_m, given.rover)
+    return own.distance_m(base_m), theirs.distance_m(rover_m)
 
 
-def _require_base(own: CodePlaces, place_m: Array, source: str, rover_m: Array | None) -> None:
+def _is_at(own: CodePlaces, place_m: Array) -> bool:
+    away = own.distance_m(place_m)
+    return away is not None and away <= WRONG_M
+
+
+def _require_base(own: CodePlaces, place_m: Array, source: str, remedy: str) -> None:
     if own.moves:
         raise InputError(
             f"the base must stand still, its codes say that it moves: {_spread(own)}; check that --rover and --base "
@@ -88,28 +104,24 @@ def _require_base(own: CodePlaces, place_m: Array, source: str, rover_m: Array |
     away = own.distance_m(place_m)
     if away is None or away <= WRONG_M:
         return
-    to_rover = None if rover_m is None else own.distance_m(rover_m)
-    remedy = f"{'correct' if source == BASE_GIVEN else 'give'} {BASE_GIVEN}"
-    if to_rover is not None and to_rover <= WRONG_M:
-        remedy = f"{ROVER_GIVEN} lies {_length(to_rover)} from there, so exchange the positions, or --rover and --base"
     raise InputError(
         f"the position of the base, from {source}, must be that of its antenna, its own codes put it "
         f"{_length(away)} away, near {_near(own)}: every position would be wrong by as much; {remedy}"
     )
 
 
-def _require_rover(own: CodePlaces, place_m: Array) -> None:
+def _require_rover(own: CodePlaces, place_m: Array, source: str) -> None:
     if own.moves:
         raise InputError(
-            f"{ROVER_GIVEN} (rover_ecef_m) is for a rover that stands, its codes say that it moves: {_spread(own)}; "
-            "leave it out, and compare solution.csv with a true track"
+            f"{source} is for a rover that stands, its codes say that it moves: {_spread(own)}; leave it out, and "
+            "compare the solution with a true track"
         )
     away = own.distance_m(place_m)
     if away is not None and away > WRONG_M:
         raise InputError(
-            f"the true position of the rover, from {ROVER_GIVEN}, must be that of its antenna, its own codes put it "
-            f"{_length(away)} away, near {_near(own)}: every error would be wrong by as much; correct {ROVER_GIVEN}, "
-            "or leave it out"
+            f"the true position of the rover, from {source}, must be that of its antenna, its own codes put it "
+            f"{_length(away)} away, near {_near(own)}: every error would be wrong by as much; correct {source}, or "
+            "leave it out"
         )
 
 

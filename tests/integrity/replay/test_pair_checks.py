@@ -16,15 +16,16 @@ from lanebound.agents.cli import app
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex_observation import read_observations
 from lanebound.integrity.replay.baseline_report import run_baseline
+from lanebound.integrity.replay.datasets import replay_folder
 from lanebound.integrity.replay.pair_checks import navigation_notes, require_two_receivers
 from lanebound.integrity.sky.broadcast import parse_navigation
 
-ROVER = PLACE + AXES @ [50.0, 40.0, 2.0]
+ROVER, FAR = PLACE + AXES @ [50.0, 40.0, 2.0], PLACE + AXES @ [300.0, 0.0, 0.0]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files of a rover and a base that stand, of a car, and the navigation of this and of another day."""
+    """Files of a rover, a base and a far rover that stand, of a car, and the navigation of this and of another day."""
     made, table, time = tmp_path_factory.mktemp("pair"), sky(), np.arange(0.0, 8.0)
     table = replace(table, prn=np.arange(len(table.prn)) % 90 + 1)
     (made / "base.nav").write_text(navigation_text(table))
@@ -34,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     (made / "other.nav").write_text(navigation_text(other))
     table = parse_navigation((made / "base.nav").read_text())
-    ways = {"base": (PLACE, 0.0), "rover": (ROVER, 0.0), "car": (ROVER, 20.0)}
+    ways = {"base": (PLACE, 0.0), "rover": (ROVER, 0.0), "car": (ROVER, 20.0), "far": (FAR, 0.0)}
     for seed, (name, (start, speed_mps)) in enumerate(ways.items(), start=1):
         places = start + speed_mps * time[:, None] * AXES[:, 0]
         (made / f"{name}.obs").write_text(
@@ -82,14 +83,18 @@ def test_swapped_positions_are_named(folder: Path, tmp_path: Path) -> None:
     assert found["off_m"] == pytest.approx(2.0 * np.linalg.norm(ROVER - PLACE), abs=0.1)
     assert found["off_swapped_m"] < 0.1
     done = command(folder, tmp_path / "command", ROVER, PLACE)
-    assert "--base-position and --rover-position are probably swapped" in done.stderr
+    assert "they are probably swapped, exchanged they are 0.0" in done.stderr
+    assert "exchange --base-position and --rover-position" in done.stderr
     assert solve(folder, tmp_path, rover_ecef_m=ROVER)["fixed_baseline"]["likely"] is None
 
 
 def test_positions_far_apart_and_swapped_are_named_too(folder: Path, tmp_path: Path) -> None:
+    """A true position of the rover near the base is no sign of it: both receivers must fit the other position."""
+    with pytest.raises(InputError, match=r"--rover-position fits them, .*: exchange the two, or rover and base"):
+        solve(folder, tmp_path, "far", base_ecef_m=FAR, rover_ecef_m=PLACE)
     up = PLACE / np.linalg.norm(PLACE)
-    with pytest.raises(InputError, match=r"--rover-position lies \d+ m from there, so exchange the positions"):
-        solve(folder, tmp_path, base_ecef_m=PLACE + 3000.0 * up, rover_ecef_m=PLACE)
+    with pytest.raises(InputError, match=r"put it 3\.0 km away, .*; correct --base-position$"):
+        solve(folder, tmp_path, base_ecef_m=PLACE + 3000.0 * up, rover_ecef_m=ROVER)
 
 
 def test_the_same_observations_under_two_names_are_refused(folder: Path, tmp_path: Path) -> None:
@@ -111,3 +116,15 @@ def test_navigation_of_another_day_is_named(folder: Path, tmp_path: Path) -> Non
     rover = read_observations(folder / "rover.obs")
     table = parse_navigation((folder / "other.nav").read_text())
     assert navigation_notes({"other.nav": table}, rover) == {}  # none that fits: refused elsewhere
+
+
+def test_a_replayed_folder_names_its_files(folder: Path, tmp_path: Path) -> None:
+    pair = tmp_path / "pair"
+    pair.mkdir()
+    for name in ("rover.obs", "base.obs", "base.nav"):
+        shutil.copy(folder / name, pair / name)
+    up = PLACE / np.linalg.norm(PLACE)
+    for name, place in (("base", PLACE), ("rover", ROVER + 5000.0 * up)):
+        (pair / f"{name}_position.txt").write_text(" ".join(f"{v:.4f}" for v in place))
+    with pytest.raises(InputError, match=r"from rover_position\.txt, .* correct rover_position\.txt"):
+        replay_folder(pair, tmp_path / "out")
