@@ -143,14 +143,13 @@ def rtk(
         if not path.is_file():
             raise InputError(f"{option} must be a file that exists, got {path}: correct the path")
     config = BaselineConfig.build(None, changes(assignments, static=static or None))
-    places = {
-        name: None if text is None else read_coordinates(text)
-        for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))
-    }
+    at_base, at_rover = (None if text is None else read_coordinates(text) for text in (base_position, rover_position))
     found, written = _solve(
         out,
         "RTK solution",
-        lambda report: run_baseline(rover, base, nav, out, config=config, progress=report, **places),
+        lambda report: run_baseline(
+            rover, base, nav, out, base_ecef_m=at_base, rover_ecef_m=at_rover, config=config, progress=report
+        ),
     )
     if as_json:
         print_json(found)

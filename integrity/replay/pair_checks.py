@@ -54,11 +54,11 @@ def _equal_values(rover: Observations, base: Observations) -> Iterator[tuple[int
     yield 0, 0
     for letter in set(rover.rows) & set(base.rows):
         ours, theirs = rover.rows[letter], base.rows[letter]
-        keys = [
+        first, second = (
             np.round(1e3 * data.since(int(rover.week[0]))[rows.epoch]).astype(np.int64) * 1000 + rows.satellite
             for data, rows in ((rover, ours), (base, theirs))
-        ]
-        _, i, j = np.intersect1d(*keys, return_indices=True)
+        )
+        _, i, j = np.intersect1d(first, second, return_indices=True)
         for code in (code for code in ours.codes if code in theirs.codes and code[0] in "CLP"):
             one, other = ours.column(code)[i], theirs.column(code)[j]
             there = (one != 0.0) & (other != 0.0)
