@@ -103,7 +103,9 @@ def compare(streets: Sequence[Mapping[str, Any]], error_m: float) -> dict[str, A
         for mode in np.unique(columns["mode"]):
             own = columns["mode"] == mode
             fitted, asked = own & (street != held), own & (street == held)
-            if not fitted.any() or not asked.any():
+            if not asked.any():
+                continue
+            if not fitted.any():
                 fitted = street != held  # a mode that no other street has
             for scores, knots in ((clock, 1), (whole, LEVEL_KNOTS)):
                 basis = _Basis(age[fitted], level[fitted], knots)

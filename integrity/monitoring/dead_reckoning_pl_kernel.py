@@ -76,11 +76,9 @@ GROWTH = record(
     bow_sb_n="the same, North [m rad^2]",
     bow_bb_e="times half of B^2, East [m rad^2]",
     bow_bb_n="the same, North [m rad^2]",
-    lead_e="Doppler's history less the path taken, while courses are refused, East [m]",
-    lead_n="the same, North [m]",
-    doppler_e="the same of times before, East [m]",
+    doppler_e="path by Doppler's history of the heading less that taken, East [m]",
     doppler_n="the same, North [m]",
-    gyro_e="the gyro's history less the path taken, East [m]",
+    gyro_e="path by the gyro's history less that taken, East [m]",
     gyro_n="the same, North [m]",
     box_e="accumulated bias of either sign, East: Doppler, and that of the last RTK fix [m]",
     box_n="the same, North [m]",
@@ -110,7 +108,7 @@ def reset(cov_ee: float, cov_en: float, cov_nn: float, bias_e: float, bias_n: fl
     g.cth_e, g.cth_n, g.cv_e, g.cv_n, g.box_e, g.box_n = 0.0, 0.0, 0.0, 0.0, bias_e, bias_n
     g.run_e, g.run_n, g.bow_ss_e, g.bow_ss_n = 0.0, 0.0, 0.0, 0.0
     g.bow_sb_e, g.bow_sb_n, g.bow_bb_e, g.bow_bb_n = 0.0, 0.0, 0.0, 0.0
-    g.lead_e, g.lead_n, g.doppler_e, g.doppler_n, g.gyro_e, g.gyro_n = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    g.doppler_e, g.doppler_n, g.gyro_e, g.gyro_n = 0.0, 0.0, 0.0, 0.0
 
 
 @jit(borrows=True)

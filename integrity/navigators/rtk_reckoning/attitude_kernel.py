@@ -7,12 +7,14 @@ from typing import Any
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import wrap
-from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import cholesky_2
 from lanebound.integrity.monitoring.heading_doubt_kernel import (
+    NONE,
     due,
+    find_difference,
     follow_gyro,
     note_agreement,
+    note_course,
     note_refusal,
     turn_to_doppler,
 )
@@ -51,14 +53,16 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
         slip_rate = w.turning / (speed * math.cos(w.slip)) if abs(speed) > MOVING_MPS else 0.0
         expect_turn(measured.turn[v, 2], par.dt, par.heading.angle_random_walk, slip_rate, heading, w.step.turn)
         w.middle = wrap(_advance_heading(heading, par, measured.turn[v, 2], w) + w.slip)
-        w.reckoned = heading.angle
+        w.reckoned, w.turned = heading.angle, 0.0 if w.resting else w.turning * par.dt
         w.before_e, w.before_n = vehicle.position[0], vehicle.position[1]
         if not w.resting:
             follow_gyro(measured.turn[v, 2], par.heading, par.dt, vehicle.doubt)
         vehicle.memory_s += par.dt
-        if w.checked and not w.resting and _calibrate(vehicle, epoch.state.growth[v], par, speed, slip_rate, w):
+        if w.checked and not w.resting and _calibrate(vehicle, par, speed, slip_rate, w):
             vehicle.since_calibration = 0.0
             vehicle.memory_s *= 1.0 - w.step.turn.k_h
+        if vehicle.doubt.stage != NONE:
+            find_difference(heading.angle, vehicle.doubt)
         w.sin_h, w.cos_h = math.sin(heading.angle), math.cos(heading.angle)
         step = w.step
         step.dt_s, step.axle_bias = par.dt, par.lever.axle_bound * step.turn.axle
@@ -120,7 +124,7 @@ def _advance_heading(heading: Any, par: Any, delta_theta: float, w: Any) -> floa
 
 
 @jit(borrows=True)
-def _calibrate(vehicle: Any, growth: Records, par: Any, speed: float, slip_rate: float, w: Any) -> bool:
+def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -> bool:
     """Calibrate the heading filter by the checked Doppler course where S1 table 1 allows it; True when done.
 
     The limit of the jump is widened to 3 sigma while the filter itself is less certain than the limit. Courses refused
@@ -139,14 +143,14 @@ def _calibrate(vehicle: Any, growth: Records, par: Any, speed: float, slip_rate:
     variance = doppler_heading_variance(w.v_e, w.v_n, w.q[0, 0], w.q[0, 1], w.q[1, 1])
     if abs(jump) >= allowed:
         beyond = abs(jump) > allowed + 3.0 * math.sqrt(variance)
-        if not beyond:
-            vehicle.doubt.refused_s = 0.0
-        else:
-            note_refusal(par.dt, course - w.slip, vehicle.doubt)
+        if beyond:
+            note_refusal(par.dt, heading, vehicle.doubt)
             if due(jump, vehicle.doubt):
-                turn_to_doppler(jump, par.heading, heading, vehicle.doubt, growth)
+                turn_to_doppler(jump, par.heading, heading, vehicle.doubt)
+        else:
+            vehicle.doubt.refuses = False
+        note_course(jump, vehicle.since_calibration, heading, vehicle.doubt)
         return False
-    note_agreement(par.dt, limits.max_jump, heading, vehicle.doubt, growth)
     variance *= par.doppler.course
     turn, signed = w.step.turn, math.copysign(magnitude, speed)
     right_e, right_n = math.cos(course) / signed, -math.sin(course) / signed
@@ -154,4 +158,5 @@ def _calibrate(vehicle: Any, growth: Records, par: Any, speed: float, slip_rate:
     l_ee, l_ne, l_nn = cholesky_2(w.q[0, 0], w.q[0, 1], w.q[1, 1])
     turn.course[0], turn.course[1] = right_e * l_ee + right_n * l_ne, right_n * l_nn
     observe(correct(jump, 1.0, 0.0, variance, heading), False, -slip_rate, heading, w.step.turn)
+    note_agreement(par.dt, limits.max_jump, heading, vehicle.doubt)
     return True

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.monitoring.heading_doubt_kernel import NONE, follow_paths, judge_by_path
-from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import reference_point
+from lanebound.integrity.monitoring.heading_doubt_kernel import NONE, follow_paths, judge_by_path, shift_of_lever
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 
 __all__ = ["follow_histories", "judge_histories"]
@@ -13,14 +12,14 @@ __all__ = ["follow_histories", "judge_histories"]
 @jit(borrows=True)
 def follow_histories(first: int, last: int, epoch: Epoch) -> None:
     """Advance the paths by both headings while gyro and Doppler contradict each other."""
-    state, dt = epoch.state, epoch.parameters[0].dt
+    state, par = epoch.state, epoch.parameters[0]
     for v in range(first, last):
         vehicle, w = state.vehicles[v], epoch.work.vehicles[v]
         if vehicle.doubt.stage == NONE:
             continue
-        east, north = vehicle.position[0] - w.before_e, vehicle.position[1] - w.before_n
-        run = 0.0 if w.resting else dt * epoch.measured.speed[v]
-        follow_paths(east, north, run, w.middle, w.reckoned, vehicle.doubt, state.growth[v])
+        taken = vehicle.position[0] - w.before_e, vehicle.position[1] - w.before_n
+        run = 0.0 if w.resting else par.dt * epoch.measured.speed[v]
+        follow_paths(taken, run, w.middle, w.reckoned, w.turned, par.lever, vehicle.doubt, state.growth[v])
 
 
 @jit(borrows=True)
@@ -29,8 +28,11 @@ def judge_histories(first: int, last: int, epoch: Epoch) -> None:
     par = epoch.parameters[0]
     for v in range(first, last):
         vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
-        if vehicle.doubt.stage == NONE or not w.accepted:
+        if vehicle.doubt.stage == NONE:
             continue
-        east, north = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)
-        east, north = east - vehicle.position[0], north - vehicle.position[1]
-        judge_by_path(east, north, w.fixed.lasting, vehicle.heading, vehicle.doubt)
+        if not w.accepted:
+            vehicle.doubt.seen = False
+            continue
+        east, north = shift_of_lever(w.reckoned, w.turned, par.lever)
+        path = vehicle.position[0] - w.before_e + east, vehicle.position[1] - w.before_n + north
+        judge_by_path((w.fixed.position[0], w.fixed.position[1]), path, vehicle.heading, vehicle.doubt)

@@ -282,13 +282,15 @@ def lever_bounds(vehicle: Any, courses: Courses, par: Any) -> tuple[float, float
     """Bounds on the shift of the reference point against the antenna by a wrong heading, along and across [m].
 
     A lever (f, r) turned by theta moves ``f (cos theta - 1) - r sin theta`` along, ``f sin theta + r (cos theta - 1)``
-    across, and by twice its length at most. The fault of a satellite or system turns the heading by its separation.
+    across, and by twice its length at most. The fault of a satellite or system turns the heading by its separation;
+    where gyro and Doppler contradict each other, either history may be right.
     """
     f, r = abs(par.lever.forward), abs(par.lever.right)
     if f == 0.0 and r == 0.0:
         return 0.0, 0.0
     heading, fault = vehicle.heading, largest_course(courses)
     theta = par.lever.k * math.sqrt(heading.p_hh + vehicle.spread.hh) + heading_bias(vehicle, par.odometer)
-    theta = min(theta + fault + par.lever.axle_bound * abs(heading.axle_h), math.pi)
+    theta += fault + par.lever.axle_bound * abs(heading.axle_h) + vehicle.doubt.difference
+    theta = min(theta, math.pi)
     most, turned = 2.0 * math.hypot(f, r), 0.5 * theta * theta
     return min(r * theta + f * turned, most), min(f * theta + r * turned, most)

@@ -9,7 +9,6 @@ import math
 from typing import Any, NamedTuple
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, shortened, sigma_and_bias
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
@@ -26,6 +25,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, 
 __all__ = [
     "DeadReckoningState",
     "along_axes",
+    "cover_histories",
     "find_levels",
     "heading_bias",
     "later_by",
@@ -73,16 +73,17 @@ def find_levels(first: int, last: int, epoch: Epoch) -> None:
                 state.growth[v, LATEST], state.starts[v, LATEST], separations_of(state.latest, v)
             )
             levels_since_fix(latest, tables, par.risk, w.sin_h, w.cos_h, w.later, epoch.out.levels[v])
-            if vehicle.doubt.stage != NONE:
-                _cover_axes(wrap(vehicle.doubt.other.angle - vehicle.heading.angle), tables, epoch.out.levels[v])
+            cover_histories(vehicle.doubt, tables, epoch.out.levels[v])
 
 
 @jit(borrows=True)
-def _cover_axes(between: float, tables: Tables, levels: Array) -> None:
-    """Raise the exact levels (R, 2) to hold on axes turned by ``between`` [rad] as well."""
+def cover_histories(doubt: Any, tables: Tables, levels: Array) -> None:
+    """Raise the exact levels (R, 2) to hold on the axes of both headings that gyro and Doppler tell."""
+    if doubt.stage == NONE:
+        return
     for r in range(levels.shape[0]):
         if not tables.cases[r].published:
-            cover_axes(between, levels[r])
+            cover_axes(doubt.difference, levels[r])
 
 
 @jit(borrows=True)

@@ -284,6 +284,7 @@ WORK = record(
     cos_h="cosine of the heading",
     step=(STEP, "what the epoch does to the error processes"),
     reckoned="heading at the end of the epoch, before Doppler calibrates it [rad]",
+    turned="turn of the epoch [rad]",
     before_e="position before it moves, East [m]",
     before_n="the same, North [m]",
     run="distance that the position moved along the heading in this epoch, else 0 [m]",

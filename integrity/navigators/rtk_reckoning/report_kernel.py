@@ -10,7 +10,7 @@ from lanebound.integrity.monitoring.alerts_kernel import INITIALISING, NO_SOLUTI
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import remember_velocity, sigma_and_bias
 from lanebound.integrity.monitoring.doppler_separation_kernel import separations_of
 from lanebound.integrity.monitoring.jump_kernel import is_suspicious
-from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import DeadReckoningState, restart
+from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import DeadReckoningState, cover_histories, restart
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import copy_reckoning, reference_point
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Epoch, Outputs
 from lanebound.integrity.positioning.codes_kernel import CODE, DOPPLER, NONE, RTK
@@ -28,6 +28,7 @@ def take_fix(first: int, last: int, epoch: Epoch) -> None:
             w.mode = RTK
             for r in range(levels.shape[1]):
                 levels[v, r, 0], levels[v, r, 1] = epoch.work.fixed_levels[v, r, 0], epoch.work.fixed_levels[v, r, 1]
+            cover_histories(vehicle.doubt, tables, levels[v])
             vehicle.position[0], vehicle.position[1] = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)
             vehicle.position[2] = w.fixed.position[2]
             vehicle.since_rtk, vehicle.initialised, vehicle.unbounded = 0.0, True, False

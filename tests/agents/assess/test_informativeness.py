@@ -62,6 +62,16 @@ def test_figures_that_are_not_defined_are_none() -> None:
     assert found["large"] == 0.0
 
 
+def test_a_street_may_lack_a_mode_that_others_have() -> None:
+    streets = made_up(0.3)
+    streets[0]["mode"] = [2] * 20 + [1] * (len(streets[0]["mode"]) - 20)
+    for street in streets[2:]:
+        street["mode"] = [1] * len(street["mode"])
+    streets[1]["mode"] = [2] * 10 + [1] * (len(streets[1]["mode"]) - 10)
+    found = info.compare(streets, 0.3)
+    assert found["gain"] is not None and found["r2"] is not None
+
+
 def test_auc_is_the_share_of_ordered_pairs() -> None:
     scores, large = np.array([0.1, 0.4, 0.4, 0.9]), np.array([False, True, False, True])
     street = np.array([0, 0, 1, 1])
