@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.assess.in_the_loop import rate_by_street
+from lanebound.agents.assess.in_the_loop import rate_by_street, rate_cell
 from lanebound.agents.assess.rtk_figures import WRONG_M, figures
 from lanebound.agents.assess.street_drives import PACKAGES, StreetDrivesConfig, street_of, work_streets
 from lanebound.agents.checkpointing.files import write_json
@@ -226,12 +226,12 @@ def simulated_figures(streets: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def navigator_rows(result: Mapping[str, Any]) -> Table:
     """Errors of the navigator beyond its levels on the same signals, over its risk."""
-    risk, rows = result["config"]["navigator"]["risk"]["integrity_risk"], []
+    risk, streets = result["config"]["navigator"]["risk"]["integrity_risk"], result["config"]["streets"]
+    rows = []
     for sky, f in result["skies"].items():
         n = f["navigator"]
-        cells = []
-        for rate in (n["beyond"], n["beyond_rtk"]):
-            band = "" if rate["low"] is None else f" [{rate['low'] / risk:.3g}, {rate['high'] / risk:.3g}]"
-            cells.append(f"{rate['rate'] / risk:.3g}{band} in {rate['streets']} streets")
+        cells = [rate_cell(n["beyond"], risk, streets), rate_cell(n["beyond_rtk"], risk, streets)]
+        if not n["rtk_share"]:
+            cells[1] = "-"
         rows.append((sky, f"{n['epochs']:,}", f"{100.0 * n['rtk_share']:.1f} %", str(n["wrong_rtk"]), *cells))
     return ("sky", "epochs", "RTK", f"RTK {WRONG_M:g} m off", "beyond over risk", "the same of RTK"), rows

@@ -25,11 +25,14 @@ from lanebound.integrity.positioning.modes import Mode
 
 __all__ = [
     "AXES",
+    "FEW_STREETS",
     "InTheLoopConfig",
     "assess_in_the_loop",
     "exceedance_rows",
+    "few_streets",
     "mode_rows",
     "rate_by_street",
+    "rate_cell",
     "sbas_rows",
     "trust_rows",
     "work_street",
@@ -40,6 +43,7 @@ RESAMPLES, CONFIDENCE = 2000, 0.95
 SAMPLE_S = 1.0  # between the levels that medians are taken of
 NO_LEVEL_M = 1e4  # in place of a missing level, for quantiles
 NEAR_M = 7.0  # a trust level below it (S4 section III-E)
+FEW_STREETS = 30  # fewer say little of a rate: where none has an event, 1 in 9 of all streets may have one
 
 
 class InTheLoopConfig(StreetDrivesConfig):
@@ -51,9 +55,24 @@ class InTheLoopConfig(StreetDrivesConfig):
     epochs: int = Field(1_000_000, ge=1, description="epochs under each sky, rounded up to whole streets")
 
     @property
+    def epochs_of_street(self) -> int:
+        """Number of epochs of a street, of all its vehicles."""
+        return self.vehicles * round(self.duration_s / self.navigator.dt_s)
+
+    @property
     def streets(self) -> int:
         """Number of streets of each sky."""
-        return -(-self.epochs // (self.vehicles * round(self.duration_s / self.navigator.dt_s)))
+        return -(-self.epochs // self.epochs_of_street)
+
+    @property
+    def rounding(self) -> str:
+        """What is driven under each sky where the epochs are not those of whole streets; "" where they are."""
+        if self.epochs == self.streets * self.epochs_of_street:
+            return ""
+        return (
+            f"{self.epochs:,} epochs under each sky are rounded up to whole streets: {self.streets} of "
+            f"{self.epochs_of_street:,} epochs each"
+        )
 
     def with_levels(self) -> InTheLoopConfig:
         """The same with further protection levels at all the risks; the operative one stays that of the navigator."""
@@ -203,18 +222,28 @@ def exceedance_rows(result: Mapping[str, Any]) -> Table:
     """Rate over the risk by sky, axis and risk, with streets that have any."""
     rows = []
     for sky, found in result["skies"].items():
+        streets = found["streets"]
         for axis in AXES:
-            cells = [_cell(rates[axis], float(risk)) for risk, rates in found["rates"].items()]
+            cells = [rate_cell(rates[axis], float(risk), streets) for risk, rates in found["rates"].items()]
             rows.append((sky, axis, f"{found['epochs']:,}", *cells))
     risks = next(iter(result["skies"].values()))["rates"]
     return ("sky", "axis", "epochs", *(f"at {risk}" for risk in risks)), rows
 
 
-def _cell(rate: Mapping[str, Any], risk: float) -> str:
+def few_streets(result: Mapping[str, Any]) -> bool:
+    """Whether any sky has so few streets that its rates say little."""
+    return any(found["streets"] < FEW_STREETS for found in result["skies"].values())
+
+
+def rate_cell(rate: Mapping[str, Any], risk: float, streets: int) -> str:
+    """Rate of events over the risk with its interval, and in how many of the streets there are any."""
+    few, of = streets < FEW_STREETS, f"{streets} street{'' if streets == 1 else 's'}"
     if not rate["events"]:
-        return f"0 in any street (share of streets below {rate['streets_high']:.2g})"
+        return f"none in {of}" + (
+            ", too few to tell" if few else f" (share of streets below {rate['streets_high']:.2g})"
+        )
     band = "" if rate["low"] is None else f" ({rate['low'] / risk:.3g} .. {rate['high'] / risk:.3g})"
-    return f"{rate['rate'] / risk:.3g}{band} in {rate['streets']} streets"
+    return f"{rate['rate'] / risk:.3g}{band} in {rate['streets']} of {of}{', few' if few else ''}"
 
 
 def mode_rows(result: Mapping[str, Any]) -> Table:

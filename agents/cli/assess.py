@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
+from lanebound.agents.cli.early import known_skies
 from lanebound.agents.cli.options import AsJson, Assignments, Jobs, Plugins, changes
 
 __all__ = ["app"]
@@ -64,7 +65,7 @@ def bounding(
     if in_the_loop:
         if rare_risk is not None:
             raise typer.BadParameter("--rare-risk does not go with --in-the-loop: drives are counted, not weighted")
-        given = changes(assignments, risks=risk or None, epochs=epochs, skies=sky or None)
+        given = changes(assignments, risks=risk or None, epochs=epochs, skies=known_skies(sky))
         _bounding_in_the_loop(out, given, jobs, as_json)
         return
     if sky:
@@ -127,7 +128,7 @@ def informativeness(
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
     with resumable(lambda: kept_text(out, "parts/*.json", "street")):
-        config = InformativenessConfig.load(changes(assignments, skies=sky or None, streets=streets))
+        config = InformativenessConfig.load(changes(assignments, skies=known_skies(sky), streets=streets))
         result = with_bar("streets", lambda on_progress: assess_informativeness(config, out, jobs, on_progress))
     if as_json:
         print_json(result)
@@ -207,9 +208,11 @@ def signals(
 
 def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: bool) -> None:
     from lanebound.agents.assess.in_the_loop import (
+        FEW_STREETS,
         InTheLoopConfig,
         assess_in_the_loop,
         exceedance_rows,
+        few_streets,
         mode_rows,
         sbas_rows,
         trust_rows,
@@ -219,6 +222,8 @@ def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: 
 
     with resumable(lambda: kept_text(out, "parts/*.json", "street")):
         config = InTheLoopConfig.load(given)
+        if config.rounding:
+            typer.echo(f"note: {config.rounding}", err=True)
         result = with_bar("streets", lambda on_progress: assess_in_the_loop(config, out, jobs, on_progress))
     if as_json:
         print_json(result)
@@ -231,7 +236,10 @@ def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: 
     heads, by_sbas = sbas_rows(result)
     if by_sbas:
         print_table("HPL_SBAS, en route, of the positions by codes (DO-229)", heads, by_sbas)
-    typer.echo(f"A rate over the risk above 1 breaks the promise.\nresults.json: {out}")
+    typer.echo("A rate over the risk above 1 breaks the promise.")
+    if few_streets(result):
+        typer.echo(f"Fewer than {FEW_STREETS} streets of a sky say little of a rate: give more --epochs.")
+    typer.echo(f"results.json: {out}")
 
 
 def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:

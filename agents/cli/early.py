@@ -9,7 +9,7 @@ from typing import Any
 from lanebound.agents.cli.static import static_table
 from lanebound.agents.drivers import AGENTS, unknown_agent
 
-__all__ = ["refuse_early", "refuse_film", "refuse_preset"]
+__all__ = ["known_skies", "refuse_early", "refuse_film", "refuse_preset"]
 
 FILES = (".zip", ".onnx", ".npz", ".csv", ".yaml", ".yml")
 
@@ -54,6 +54,26 @@ def refuse_early(
         refuse_keys("environment", changes)
     if faults is not None:
         _require("faults", faults, static_table()["faults"])
+
+
+def known_skies(names: list[str] | None) -> list[str] | None:
+    """The skies that ``--sky`` gives; None without any.
+
+    Raises
+    ------
+    ConfigError, InputError
+        One of them is no sky, or its file is refused.
+    """
+    from lanebound.integrity.core.errors import ConfigError, InputError
+
+    for name in names or ():
+        try:
+            refuse_early(sky=name)
+        except (ConfigError, InputError) as error:
+            raise type(error)(f"--{error}") from None
+        if "/" in name and not name.endswith(FILES):
+            refuse_preset("--sky", "skies/", name)
+    return names or None
 
 
 def refuse_film(video: Path | None) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from lanebound.agents.cli.early import known_skies
 from lanebound.agents.cli.options import AsJson, Assignments, Jobs, changes
 
 __all__ = ["assess_monitors", "fit_errors", "monitors"]
@@ -87,7 +88,7 @@ def assess_monitors(
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        given = changes(assignments, skies=sky or None, monitors=monitor or None, streets=streets)
+        given = changes(assignments, skies=known_skies(sky), monitors=monitor or None, streets=streets)
         config = MonitorsConfig.load(given)
         result = with_bar("parts", lambda on_progress: assess(config, data, out, jobs, on_progress))
         written = write_page(config, result, out)

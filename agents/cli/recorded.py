@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from lanebound.agents.cli.options import AsJson, Assignments, changes
+from lanebound.agents.cli.rtk_tables import print_rtk
 
 if TYPE_CHECKING:
     from lanebound.agents.checkpointing.runner import OnProgress
@@ -26,7 +27,7 @@ CITY_WORDS = (
 )
 RESULTS = (".json", ".csv", ".png")
 MANIFEST = ("run.json",)
-MOST_HALVES = 0.2  # share of phases that may be off by half a cycle
+HIGH_RISK = 0.01  # at which a level says little: no higher one is advised
 
 
 def replay(
@@ -142,19 +143,18 @@ def rtk(
         if not path.is_file():
             raise InputError(f"{option} must be a file that exists, got {path}: correct the path")
     config = BaselineConfig.build(None, changes(assignments, static=static or None))
-    places = {
-        name: None if text is None else read_coordinates(text)
-        for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))
-    }
+    at_base, at_rover = (None if text is None else read_coordinates(text) for text in (base_position, rover_position))
     found, written = _solve(
         out,
         "RTK solution",
-        lambda report: run_baseline(rover, base, nav, out, config=config, progress=report, **places),
+        lambda report: run_baseline(
+            rover, base, nav, out, base_ecef_m=at_base, rover_ecef_m=at_rover, config=config, progress=report
+        ),
     )
     if as_json:
         print_json(found)
         return
-    _print_rtk(found)
+    print_rtk(found)
     _print_files(found["stopped"], written)
 
 
@@ -252,63 +252,6 @@ def _print_files(stopped: Any, written: list[Path]) -> None:
         typer.echo(str(path))
 
 
-def _print_rtk(found: dict[str, Any]) -> None:
-    from lanebound.agents.cli.output import print_table
-
-    keys = (
-        "epochs", "fixed", "fixed_share", "first_fix_s", "satellites_median", "excluded", "wrong_fix_risk_max",
-        "base_from_header_m", "base_from_codes_m",
-    )  # fmt: skip
-    rows = [(key, found[key]) for key in keys] + [(f"epochs {name}", n) for name, n in found["status"].items() if n]
-    print_table("RTK", ("", "value"), rows)
-    _print_rtk_notes(found)
-    errors = found.get("errors", {})
-    if errors:
-        head = ("epochs", "axis", "n", "largest horizontal m", "above PL", "exact 95 % interval", "median PL m")
-        print_table("Errors", head, [row for name in errors for row in _bounding_rows(name, errors[name])])
-        typer.echo(found["caution"])
-
-
-def _print_rtk_notes(found: dict[str, Any]) -> None:
-    """Print why epochs are not fixed, and what seems wrong with the inputs."""
-    from lanebound.integrity.positioning.rtk_status import RtkStatus
-    from lanebound.integrity.replay.code_places import NEAR_M
-
-    place = ",".join(f"{value:.3f}" for value in found["base_antenna_ecef_m"])
-    typer.echo(
-        f"Positions and levels are relative to the base at {place}, from {found['base_antenna_from']}: an error of it "
-        "is an error of every position, and in no level"
-    )
-    for name, count in found["status"].items():
-        if count and name == "not_converged":
-            typer.echo(f"not_converged: {found['not_converged']['what']}")
-        elif count and name != "fixed":
-            typer.echo(f"{name}: {RtkStatus[name.upper()].value}")
-    if (found["base_from_codes_m"] or 0.0) > NEAR_M:
-        typer.echo(
-            f"note: the base is {found['base_from_codes_m']:.0f} m from where its own codes put it, which are good to "
-            "about 10 m: positions may be wrong by as much, give --base-position of its antenna",
-            err=True,
-        )
-    for name, share in found["half_cycle_share"].items():
-        if share > MOST_HALVES:
-            typer.echo(
-                f"note: {100.0 * share:.0f} % of the phases of the {name} may be off by half a cycle by their flags, "
-                "and are not used",
-                err=True,
-            )
-
-
-def _bounding_rows(name: str, found: dict[str, Any]) -> list[list[Any]]:
-    return [
-        [
-            name, axis, found[axis]["epochs"], found.get("horizontal_max_m"), found[axis]["exceeded"],
-            f"{found[axis]['rate_low']:.2g} to {found[axis]['rate_high']:.2g}", found[axis]["pl_median_m"],
-        ]
-        for axis in ("at", "ct")
-    ]  # fmt: skip
-
-
 def _print_city(found: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
 
@@ -355,7 +298,7 @@ def _print_service(found: dict[str, Any]) -> None:
         count, none = (round(found[key] * found["epochs"]) for key in ("no_level", "no_position"))
         typer.echo(
             f"{count} of {found['epochs']} epochs have no finite level at risk {found['risk']:g}, {none} of them no "
-            "position either; a higher risk has more levels: --set risk.integrity_risk=1e-3"
+            f"position either{_higher_risk(found['risk'])}"
         )
     if "at" in found:
         head = ("axis", "n", "above PL", "exact 95 % interval", "median PL m")
@@ -365,6 +308,11 @@ def _print_service(found: dict[str, Any]) -> None:
         ]
         print_table(f"Errors above protection levels at risk {found['risk']:g}", head, levels)
         typer.echo(found["caution"])
+
+
+def _higher_risk(risk: float) -> str:
+    """Advice to try ten times a risk; none where the risk is already high."""
+    return f"; a higher risk has more levels: --set risk.integrity_risk={10.0 * risk:g}" if risk < HIGH_RISK else ""
 
 
 def _share(value: float | None) -> str:
@@ -424,5 +372,5 @@ def _print_inertial(found: dict[str, Any]) -> None:
 
 _PRINTERS = {
     "context": _print_context, "service": _print_service, "filter": _print_filter, "smartloc": _print_city,
-    "comma2k19": _print_outages, "imu_log": _print_inertial, "rinex": _print_rtk,
+    "comma2k19": _print_outages, "imu_log": _print_inertial, "rinex": print_rtk,
 }  # fmt: skip

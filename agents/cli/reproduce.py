@@ -133,10 +133,14 @@ def services(
         print_json(result)
         return
     print_table("Services, medians over streets; shares are means", *tables.service_rows(result))
-    print_table("EGNOS by its satellites alone and with SISNeT", *tables.mixed_rows(result))
+    heads, by_egnos = tables.mixed_rows(result)
+    if by_egnos:
+        print_table("EGNOS by its satellites alone and with SISNeT", heads, by_egnos)
     if "ppp" in result:
         print_table("PPP at rest in the open, by the time since it was switched on", *tables.convergence_rows(result))
-    print_table("The papers line by line", *tables.published_rows(result))
+    heads, lines = tables.published_rows(result)
+    if lines:
+        print_table("The papers line by line", heads, lines)
     typer.echo(f"services.json: {out}")
 
 

@@ -36,10 +36,10 @@ def service_rows(result: Mapping[str, Any]) -> Table:
         for sky, found in result["skies"].items():
             of = found[case]
             errors, own = (
-                "-" if of[cep] >= NO_LEVEL_M else f"{of[cep]:.2f} / {of[hpe95]:.2f}"
+                "-" if of[cep] >= NO_LEVEL_M else f"{_metres(of[cep])} / {_metres(of[hpe95])}"
                 for cep, hpe95 in (("cep_m", "hpe95_m"), ("own_cep_m", "own_hpe95_m"))
             )
-            levels = ["-" if of[key] >= NO_LEVEL_M else f"{of[key]:.1f}" for key in ("pl_at_m", "pl_ct_m")]
+            levels = ["-" if of[key] >= NO_LEVEL_M else _metres(of[key]) for key in ("pl_at_m", "pl_ct_m")]
             shown = ("service", "corrected", "accurate", "bounded", "hdop_below_3", "direct_below_3")
             shares = [f"{100.0 * of[key]:.0f} %" for key in shown]
             beyond = f"{of['beyond']:.1e}" if of["beyond"] else "0"
@@ -73,8 +73,8 @@ def convergence_rows(result: Mapping[str, Any]) -> Table:
     found, last = result["ppp"], result["config"]["ppp_minutes"]
     rows: list[tuple[str, ...]] = [
         (
-            f"{minute}", f"{found['rms_m'][minute - 1]:.3f}", f"{found['largest_m'][minute - 1]:.3f}",
-            f"{found['level_m'][minute - 1]:.2f}", f"{100.0 * found['beyond'][minute - 1]:.1f} %",
+            f"{minute}", *(_metres(found[key][minute - 1]) for key in ("rms_m", "largest_m", "level_m")),
+            f"{100.0 * found['beyond'][minute - 1]:.1f} %",
         )
         for minute in sorted({1, 2, 5, 10, 15, 20, 30, last})
         if minute <= last
@@ -98,11 +98,16 @@ def _error_rows(result: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
         for sky in ("open",) if case.startswith("s4") else ("open", "urban"):
             found = result["skies"].get(sky, {}).get(case)
             if found is not None:
-                yield f"{case}, error 50 / 95 %", sky, text, f"{found['cep_m']:.2f} / {found['hpe95_m']:.2f} m"
+                yield (
+                    f"{case}, error 50 / 95 %",
+                    sky,
+                    text,
+                    f"{_metres(found['cep_m'])} / {_metres(found['hpe95_m'])} m",
+                )
     if "ppp" in result:
         rms = result["ppp"]["rms_m"]
         below = next((str(k + 1) for k, value in enumerate(rms) if value < 0.1), "never")
-        text = f"{rms[-1]:.3f} m after {len(rms)} min, below 0.1 m after {below} min"
+        text = f"{_metres(rms[-1])} m after {len(rms)} min, below 0.1 m after {below} min"
         yield "ppp at rest, error on an axis, rms", "open", "below 0.1 m after up to 30 min, S2", text
 
 
@@ -126,3 +131,12 @@ def _share_rows(result: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
             yield f"{case}, {names[key]}", sky, text, f"{100.0 * found[key]:.1f} %"
     for case, _, available, _, text in mixed_rows(result)[1]:
         yield f"{case}, {AVAILABLE}", "mean of all", f"{text}, S4", available
+
+
+def _metres(value: float) -> str:
+    """A length with three significant digits, and no fewer than those before the point.
+
+    >>> _metres(0.0412), _metres(0.5), _metres(15.83), _metres(1234.5)
+    ('0.0412', '0.500', '15.8', '1234')
+    """
+    return f"{value:.0f}" if value >= 999.5 else f"{value:#.3g}".rstrip(".")

@@ -11,6 +11,7 @@ lanebound.integrity.core.errors.ConfigError: rate_hz must be > 0, got -1.0: corr
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
@@ -99,6 +100,7 @@ class Config(BaseModel):
     def _refuse_coercion(cls, raw: Any, handler: Any, info: ValidationInfo) -> Any:
         value = handler(_completed(cls, info.field_name, raw))
         _check_same_kind(raw, value)
+        _check_finite(str(info.field_name), value)
         return value
 
     @classmethod
@@ -221,6 +223,25 @@ def _check_same_kind(raw: Any, value: Any) -> None:
     elif isinstance(value, Sequence) and isinstance(raw, Sequence):
         for old, new in zip(raw, value, strict=True):
             _check_same_kind(old, new)
+
+
+def _check_finite(name: str, value: Any) -> None:
+    """Refuse plain data with a number that is not finite, which JSON would turn into ``null``."""
+    where = _not_finite(value) if isinstance(value, Mapping) else None
+    if where is not None:
+        raise ValueError(f"{name}.{where[0]} must be finite, got {where[1]}: correct that value")
+
+
+def _not_finite(data: Any) -> tuple[str, float] | None:
+    """Path and value of the first number in plain data that is not finite."""
+    items = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list | tuple) else ()
+    for key, value in items:
+        if isinstance(value, float) and not math.isfinite(value):
+            return str(key), value
+        below = _not_finite(value)
+        if below is not None:
+            return f"{key}.{below[0]}", below[1]
+    return None
 
 
 class ConfigValue(NamedTuple):

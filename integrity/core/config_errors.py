@@ -100,6 +100,8 @@ def _in_place(text: str, dotted: str, model: type[BaseModel], path: str, loc: Se
         return f"{dotted} {text}"
     inside = _inside(model, loc)
     word = text.split(maxsplit=1)[0].rstrip(":") if text else ""
+    if loc and word.partition(".")[0] == loc[-1]:
+        return joined(joined(path, loc[:-1]), (text,))
     if inside is not None and word.partition(".")[0] in inside.model_fields:
         return joined(joined(path, loc), (text,))
     return f"{dotted}: {text}"

@@ -39,7 +39,7 @@ from lanebound.integrity.replay.rtk_stages import RtkStages
 from lanebound.integrity.replay.signal_choice import Choice, choose_signals
 from lanebound.integrity.sky.broadcast import Ephemerides
 
-__all__ = ["Baseline", "BaselineConfig", "base_antenna", "on_earth", "solve_baseline"]
+__all__ = ["Baseline", "BaselineConfig", "base_antenna", "date_text", "on_earth", "solve_baseline"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -210,12 +210,13 @@ def _require_messages(rover: Observations, arcs: list[Arc], table: Ephemerides) 
     seen = (rover.week[[0, -1]] * WEEK_S + rover.tow_s[[0, -1]]).tolist()
     sent = [float(table.toe_s.min()), float(table.toe_s.max())]
     raise InputError(
-        f"navigation messages must be of the time of the observations, {' to '.join(map(_date, seen))}, got "
-        f"{' to '.join(map(_date, sent))} and none that fits: pass the navigation of that day"
+        f"navigation messages must be of the time of the observations, {' to '.join(map(date_text, seen))}, got "
+        f"{' to '.join(map(date_text, sent))} and none that fits: pass the navigation of that day"
     )
 
 
-def _date(gps_time_s: float) -> str:
+def date_text(gps_time_s: float) -> str:
+    """A GPS time [s since 1980-01-06] as date and time of day, to the minute."""
     return f"{datetime(1980, 1, 6) + timedelta(seconds=round(gps_time_s)):%Y-%m-%d %H:%M}"
 
 

@@ -23,13 +23,21 @@ from lanebound.integrity.core.frames import (
 from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
-from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations, read_observations
+from lanebound.integrity.recorded.rinex_observation import WEEK_S, read_observations
 from lanebound.integrity.recorded.source import finite_number
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, base_antenna, on_earth, solve_baseline
-from lanebound.integrity.replay.code_places import CodePlaces, require_base
-from lanebound.integrity.replay.signal_choice import choose_signals
+from lanebound.integrity.replay.pair_checks import (
+    OPTIONS,
+    GivenBy,
+    baseline_fit,
+    check_places,
+    navigation_notes,
+    require_standing,
+    require_still,
+    require_two_receivers,
+)
 from lanebound.integrity.sky.broadcast import Ephemerides, read_navigation
-from lanebound.integrity.sky.klobuchar import Klobuchar, read_klobuchar
+from lanebound.integrity.sky.klobuchar import read_klobuchar
 
 __all__ = ["read_coordinates", "run_baseline", "summarise"]
 
@@ -40,8 +48,6 @@ HEAD = (
     "pl_ct_m", "sigma_at_m", "sigma_ct_m", "satellites", "excluded", "wrong_fix_risk", "age_s",
 )  # fmt: skip
 
-STILL_M = 0.5  # of fixed positions of a rover that stands; beyond centimetres and what a pole sways
-
 CAUTION = (
     "epochs of one session are not independent: adjacent epochs share satellites, multipath and integers. The exact "
     "intervals are therefore too narrow"
@@ -50,39 +56,48 @@ CAUTION = (
 
 def run_baseline(
     rover: Path, base: Path, navigation: Sequence[Path], out: Path, *, base_ecef_m: Array | None = None,
-    rover_ecef_m: Array | None = None, config: BaselineConfig | None = None,
-    progress: Progress = silent,
+    rover_ecef_m: Array | None = None, config: BaselineConfig | None = None, progress: Progress = silent,
+    given: GivenBy = OPTIONS,
 ) -> tuple[dict[str, Any], list[Path]]:  # fmt: skip
     """Solve RINEX files of a rover, a base and their navigation, which are merged.
 
     Writes ``solution.csv`` and ``rtk.json`` into ``out``.
     ``base_ecef_m`` and ``rover_ecef_m`` (3,) are antenna reference points: of the base, by default that of its header,
-    and of a static rover, if its true position is known; errors are then reported. ``progress`` is called with the
-    number of solved epochs and the total number.
+    and of a rover that stands, if its true position is known; errors are then reported. ``progress`` is called with the
+    number of solved epochs and the total number. ``given`` names the inputs of the positions in messages.
 
     Raises
     ------
     InputError
-        A file is invalid, or the files do not belong together.
+        A file is invalid, the files do not belong together, or the codes contradict a position that is given.
     """
     if Path(rover).resolve() == Path(base).resolve():
         raise InputError(f"rover and base must be files of two receivers, got {rover} twice: correct one of the paths")
     rover_data, base_data = read_observations(rover), read_observations(base)
-    table = Ephemerides.merged([read_navigation(path) for path in navigation])
-    config, source = config or BaselineConfig(), "the header of its file" if base_ecef_m is None else "--base-position"
+    require_two_receivers(rover_data, base_data)
+    files = {str(path): read_navigation(path) for path in navigation}
+    table = Ephemerides.merged(list(files.values()))
+    config, source = config or BaselineConfig(), "the header of its file" if base_ecef_m is None else given.base
     place = base_antenna(base_data, base_ecef_m)
-    away = _checked(rover_data, base_data, table, read_klobuchar(navigation), place, source) if len(table) else None
-    if config.static and len(table):
-        _require_standing(rover_data, base_data, table)
+    away: tuple[float | None, float | None] = None, None
+    if len(table):
+        away = check_places(
+            rover_data, base_data, table, read_klobuchar(navigation), place, source, rover_ecef_m, given
+        )
+        if config.static:
+            require_standing(rover_data, base_data, table)
     solved = solve_baseline(rover_data, base_data, table, place, config, progress)
-    _require_still(solved, config)
+    if config.static:
+        require_still(solved)
     notes = {"rover": rover_data.note, "base": base_data.note, "navigation": table.stopped}
+    notes |= navigation_notes(files, rover_data)
     summary = {
         "stopped": {name: note for name, note in notes.items() if note},
         "signals": {"rover": solved.choice.rover, "base": solved.choice.base},
         "base_antenna_ecef_m": solved.base_ecef_m.tolist(),
         "base_antenna_from": source,
-        "base_from_codes_m": away,
+        "positions_given_by": given._asdict(),
+        "base_from_codes_m": away[0],
         "base_from_header_m": _distance_to_header(solved.base_ecef_m, base_data.header.antenna_ecef_m),
         "half_cycle_share": {"rover": rover_data.half_cycle_share, "base": base_data.half_cycle_share},
         "antenna_delta_enu_m": {
@@ -91,6 +106,8 @@ def run_baseline(
         },
         **summarise(solved, rover_ecef_m),
     }
+    if rover_ecef_m is not None:
+        summary |= {"rover_from_codes_m": away[1], "fixed_baseline": baseline_fit(solved, rover_ecef_m)}
     out.mkdir(parents=True, exist_ok=True)
     written = [out / "rtk.json", out / "solution.csv"]
     written[0].write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
@@ -99,36 +116,6 @@ def run_baseline(
         writer.writerow(HEAD)
         writer.writerows(_rows(solved))
     return summary, written
-
-
-def _checked(
-    rover: Observations, base: Observations, table: Ephemerides, ionosphere: Klobuchar | None, place: Array, source: str
-) -> float | None:
-    """Distance of the base from where its own codes put it [m]; InputError where it cannot stand there."""
-    choice = choose_signals(rover, base, 1)
-    return require_base(CodePlaces(base, choice.base, choice, table, ionosphere), place, source)
-
-
-def _require_standing(rover: Observations, base: Observations, table: Ephemerides) -> None:
-    """Raise InputError where the codes of a rover that is said to stand show that it moves."""
-    choice = choose_signals(rover, base, 1)
-    if CodePlaces(rover, choice.rover, choice, table).moves:
-        raise InputError(
-            "the rover must stand with --static (static), its codes say that it moves: leave the option out"
-        )
-
-
-def _require_still(solved: Baseline, config: BaselineConfig) -> None:
-    """Raise InputError where the fixed positions of a rover that is said to stand, each of its own epoch, differ."""
-    places = solved.enu_m[solved.fixed]
-    if not config.static or not len(places):
-        return
-    away = float(np.linalg.norm((places - np.median(places, axis=0))[:, :2], axis=1).max())
-    if away > STILL_M:
-        raise InputError(
-            f"the rover must stand with --static (static), its fixed positions differ by {away:.1f} m: leave the "
-            "option out, or cut the files to the time in which it stands"
-        )
 
 
 def _distance_to_header(place: Array, header: Array | None) -> float | None:

@@ -1,11 +1,10 @@
-"""Positions of a recorded receiver from its own codes: where a base stands, and which of two receivers moves."""
+"""Positions of a recorded receiver from its own codes: where it stands, and whether it moves."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.positioning.code_solution import gauss_newton
 from lanebound.integrity.recorded.rinex_observation import Observations
@@ -16,12 +15,12 @@ from lanebound.integrity.sky.broadcast import Ephemerides
 from lanebound.integrity.sky.klobuchar import Klobuchar
 from lanebound.integrity.sky.systems import WAVELENGTH_M, System
 
-__all__ = ["MOVES_M", "NEAR_M", "WRONG_M", "CodePlaces", "require_base"]
+__all__ = ["MOVES_M", "NEAR_M", "WRONG_M", "CodePlaces"]
 
 Array = NDArray[np.float64]
 
 MOVES_M = 15.0  # spread of code positions, 90 % of them, of a receiver that moves; noise is a few metres
-NEAR_M = 30.0  # of a base from its codes; further is doubtful: codes with models of the air are good to about 10 m
+NEAR_M = 30.0  # of a receiver from its codes; further is doubtful: codes with models of the air are good to about 10 m
 WRONG_M = 100.0  # what codes cannot be wrong by
 SAMPLES = 40  # epochs of which positions are computed
 FEWEST = 6  # satellites
@@ -45,12 +44,16 @@ class CodePlaces:
         self.places_m = np.array([place for place in found if place is not None]).reshape(-1, 3)
 
     @property
+    def spread_m(self) -> float:
+        """Distance from their median within which nine tenths of the positions lie [m]; 0 without positions."""
+        if not len(self.places_m):
+            return 0.0
+        return float(np.quantile(np.linalg.norm(self.places_m - np.median(self.places_m, axis=0), axis=1), 0.9))
+
+    @property
     def moves(self) -> bool:
         """Whether more than a tenth of the positions lie further than MOVES_M from their median."""
-        if not len(self.places_m):
-            return False
-        away = np.linalg.norm(self.places_m - np.median(self.places_m, axis=0), axis=1)
-        return bool(np.quantile(away, 0.9) > MOVES_M)
+        return self.spread_m > MOVES_M
 
     def distance_m(self, place_m: Array) -> float | None:
         """Distance of a place (3,) from the median of the positions [m]; None without positions."""
@@ -100,29 +103,3 @@ def _least_squares(
 
     found, fit = gauss_newton(about, start[None], 1.0, np.ones((1, rows.size), bool), group)
     return found[0] if fit.solved[0] else None
-
-
-def require_base(own: CodePlaces, place_m: Array, source: str) -> float | None:
-    """Distance of the base from its own codes [m], None without positions from them.
-
-    Raises
-    ------
-    InputError
-        The base moves, or its position ``place_m`` (3,), which is from ``source``, cannot be right.
-    """
-    if own.moves:
-        raise InputError(
-            "the base must stand still, its codes say that it moves: check that --rover and --base are not swapped"
-        )
-    away = own.distance_m(place_m)
-    if away is not None and away > WRONG_M:
-        there = ",".join(f"{v:.1f}" for v in np.median(own.places_m, axis=0))
-        raise InputError(
-            f"the position of the base, from {source}, must be that of its antenna, its own codes put it "
-            f"{_length(away)} away, near {there}: every position would be wrong by as much; give --base-position"
-        )
-    return away
-
-
-def _length(metres: float) -> str:
-    return f"{metres / 1000.0:.1f} km" if metres >= 1000.0 else f"{metres:.0f} m"

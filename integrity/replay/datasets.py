@@ -113,6 +113,7 @@ def _replay_rinex(
     """Replay the rover and base of a folder, with the positions in its position files."""
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
+    from lanebound.integrity.replay.pair_checks import GivenBy
 
     pair = find_pair(folder)
     known = {}
@@ -123,5 +124,6 @@ def _replay_rinex(
     found, written = run_baseline(
         pair.rover, pair.base, pair.navigation, out, base_ecef_m=known["base_ecef_m"],
         rover_ecef_m=known["rover_ecef_m"], config=config, progress=progress,
+        given=GivenBy(POSITION_FILE.format("base"), POSITION_FILE.format("rover")),
     )  # fmt: skip
     return {"dataset": "rinex", **found}, written

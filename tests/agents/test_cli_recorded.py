@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli import app, progress
-from lanebound.agents.cli.recorded import _limit_blas_threads, _solve, _written_text
+from lanebound.agents.cli.recorded import _higher_risk, _limit_blas_threads, _solve, _written_text
 
 
 def test_linear_algebra_gets_one_thread_unless_the_user_says_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,3 +59,9 @@ def test_slow_work_reports_within_half_a_minute(
     assert [line.split(",")[0] for line in capsys.readouterr().err.splitlines()] == [
         "2 of 1",
     ]
+
+
+def test_a_higher_risk_than_the_present_one_is_advised() -> None:
+    assert _higher_risk(1e-5).endswith("--set risk.integrity_risk=0.0001")
+    assert _higher_risk(1e-3).endswith("--set risk.integrity_risk=0.01")
+    assert _higher_risk(1e-2) == ""

@@ -7,9 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from lanebound.agents.assess.street_drives import navigator_of
-from lanebound.agents.reproduce import service_drives
+from lanebound.agents.cli import app
+from lanebound.agents.reproduce import service_drives, services
 from lanebound.agents.reproduce.service_drives import NO_DOP, _arrive, approach, converge, hdop, streets_of
 from lanebound.agents.reproduce.service_tables import convergence_rows, mixed_rows, published_rows, service_rows
 from lanebound.agents.reproduce.services import (
@@ -79,6 +81,32 @@ def test_a_small_study_has_all_its_tables(tmp_path: Path) -> None:
     assert lines["s4_sisnet, EGNOS available"] == ("89.2 %, S4", mixed_rows(result)[1][1][2])
     assert "spp, error 50 / 95 %" not in lines  # it was not driven
     assert run_services(config, tmp_path) == result  # resumed: nothing is driven anew
+
+
+def test_levels_and_errors_have_three_significant_digits() -> None:
+    """RTK's level of 4 cm is no 0.0; the table of EGNOS has no row without its cases."""
+    shares = ("service", "corrected", "accurate", "bounded", "hdop_below_3", "direct_below_3", "beyond", "available")
+    errors = {"cep_m": 0.00432, "hpe95_m": 0.5, "own_cep_m": 15.83, "own_hpe95_m": 1234.5}
+    of = {**dict.fromkeys(shares, 0.0), **errors, "pl_at_m": 0.0412, "pl_ct_m": 999.7}
+    result = {"config": {"cases": ["rtk"], "skies": ["open"]}, "skies": {"open": {"rtk": of}}}
+    assert service_rows(result)[1][0][2:6] == ("0.00432 / 0.500", "15.8 / 1234", "0.0412", "1000")
+    assert published_rows(result)[1][0][-1] == "0.00432 / 0.500 m"
+    assert mixed_rows(result)[1] == []
+    ppp = {"rms_m": [0.0271], "largest_m": [0.104], "level_m": [0.0412], "beyond": [0.0]}
+    assert convergence_rows({"ppp": ppp, "config": {"ppp_minutes": 1}})[1] == [
+        ("1", "0.0271", "0.104", "0.0412", "0.0 %")
+    ]
+
+
+def test_the_command_prints_no_table_without_rows(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    keys = ("cep_m", "hpe95_m", "own_cep_m", "own_hpe95_m", "pl_at_m", "pl_ct_m", "service", "corrected", "accurate",
+            "bounded", "hdop_below_3", "direct_below_3", "beyond", "available")  # fmt: skip
+    found = {"config": {"cases": ["rtk"], "skies": ["open"]}, "skies": {"open": {"rtk": dict.fromkeys(keys, 0.5)}}}
+    monkeypatch.setattr(services, "run_services", lambda *_: found)
+    done = CliRunner().invoke(app, ["reproduce", "services", "--out", str(tmp_path), "--set", "cases=[rtk]"])
+    assert done.exit_code == 0, done.output
+    assert "The papers line by line" in done.output
+    assert "EGNOS by its satellites" not in done.output
 
 
 def test_unknown_cases_and_skies_are_refused_before_a_folder_is_claimed() -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import pickle
+from collections.abc import Mapping
 from enum import Enum, IntEnum
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -312,3 +314,20 @@ def test_a_mapping_changes_only_its_own_keys_of_the_default_of_a_field():
     assert Wide.load({"inner": {"rate_hz": 4}}).inner == Ruled(rate_hz=4)
     assert Wide.load({"inner": Ruled()}).inner.rate_hz == 10  # a whole configuration replaces it
     assert refusal({"inner": {"rate_hz": 3}}, model=Wide) == ["inner.rate_hz must divide 20, got 3: choose a divisor"]
+
+
+class Free(Config):
+    """A configuration with data that other code checks."""
+
+    navigator: Mapping[str, Any] = Field({})
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_plain_data_that_json_would_turn_into_none_are_refused_with_their_path(bad: float) -> None:
+    data = {"gnss": {"near_objects": {"code_m": bad}}, "rates": [1.0]}
+    line = f"navigator.gnss.near_objects.code_m must be finite, got {bad}: correct that value"
+    with pytest.raises(ConfigError) as refused:
+        Free(navigator=data)
+    assert str(refused.value) == line
+    with pytest.raises(ConfigError, match=rf"^config\.navigator\.rates\.1 must be finite, got {bad}: "):
+        Free.load({"navigator": {"rates": [1.0, bad]}}, "config")

@@ -11,6 +11,7 @@ import pytest
 
 from lanebound.agents.assess import conventional as rtk
 from lanebound.agents.assess import rtk_figures as tables
+from lanebound.agents.assess.in_the_loop import rate_by_street
 from lanebound.agents.assess.street_drives import street_of
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning.modes import Mode
@@ -123,6 +124,16 @@ def test_changes_of_the_error_between_fixes() -> None:
     assert tables.changes(time, fixed, error).size == 0
     fixed[5], time[5:] = True, time[5:] + 9.0
     assert tables.changes(time, fixed, error).size == 1
+
+
+def test_streets_without_an_error_beyond_a_level_read_none() -> None:
+    none, one = (rate_by_street(np.array(events), np.full(6, 100)) for events in ([0] * 6, [1, 0, 0, 0, 0, 0]))
+    of = {"epochs": 600, "rtk_share": 0.5, "wrong_rtk": 0, "beyond": one, "beyond_rtk": none}
+    config = {"streets": 6, "navigator": {"risk": {"integrity_risk": 1e-3}}}
+    rows = rtk.navigator_rows({"config": config, "skies": {"open": {"navigator": of}}})[1]
+    assert rows[0][-2:] == ("1.67 in 1 of 6 streets, few", "none in 6 streets, too few to tell")
+    of["rtk_share"] = 0.0
+    assert rtk.navigator_rows({"config": config, "skies": {"open": {"navigator": of}}})[1][0][-1] == "-"
 
 
 def test_a_folder_without_a_drive_is_refused(tmp_path: Path) -> None:

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from lanebound.agents.assess import in_the_loop as loop
 from lanebound.agents.assess.street_drives import StreetDrivesConfig, _staircase, drive_street
+from lanebound.agents.cli import app
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.positioning.modes import Mode
@@ -130,3 +132,40 @@ def test_streets_differ_and_do_not_cross_themselves() -> None:
 def test_a_wrong_sky_is_named() -> None:
     with pytest.raises(ConfigError, match="lunar"):
         next(drive_street(StreetDrivesConfig(skies=("lunar",)), "lunar", 0))
+
+
+def test_epochs_are_rounded_up_to_whole_streets_and_it_is_said() -> None:
+    assert loop.InTheLoopConfig(epochs=2000).rounding == (
+        "2,000 epochs under each sky are rounded up to whole streets: 1 of 28,800 epochs each"
+    )
+    assert loop.InTheLoopConfig(epochs=57_600).rounding == ""
+
+
+def test_cells_say_where_streets_are_too_few() -> None:
+    few, many = (loop.rate_by_street(np.zeros(n, dtype=np.int64), np.full(n, 100)) for n in (1, 30))
+    assert loop.rate_cell(few, 1e-3, 1) == "none in 1 street, too few to tell"
+    assert loop.rate_cell(many, 1e-3, 30) == "none in 30 streets (share of streets below 0.12)"
+    one = loop.rate_by_street(np.eye(1, 5, dtype=np.int64)[0], np.full(5, 100))
+    assert loop.rate_cell(one, 1e-3, 5) == "2 in 1 of 5 streets, few"
+
+
+def test_the_command_names_the_option_and_the_skies_before_it_claims_a_folder(
+    result: tuple[dict[str, Any], Path], tmp_path: Path
+) -> None:
+    """Few streets are said too: the drives are those of the fixture."""
+    known = "--sky must be one of open, suburban, urban, dense"
+    for command, name in (("bounding", "foo"), ("monitors", "foo"), ("informativeness", "foo")):
+        options = ["--in-the-loop"] if command == "bounding" else []
+        done = CliRunner().invoke(app, ["assess", command, *options, "--sky", name, "--out", str(tmp_path / "out")])
+        assert (done.exit_code, known in done.stderr) == (2, True), done.output
+    done = CliRunner().invoke(
+        app, ["assess", "bounding", "--in-the-loop", "--sky", "skies/foo", "--out", str(tmp_path / "out")]
+    )
+    assert "--sky 'skies/foo' is unknown: known are dense, open" in done.stderr
+    assert not (tmp_path / "out").exists()
+    given = [f"--set={key}={value}" for key, value in {**SHORT, "skies": "[dense]"}.items()]
+    options = ["--risk", "0.5", "--risk", "1e-3", "--epochs", "200", "--out", str(result[1])]
+    done = CliRunner().invoke(app, ["assess", "bounding", "--in-the-loop", *given, *options])
+    assert done.exit_code == 0, done.output
+    assert "note: 200 epochs under each sky are rounded up to whole streets: 2 of 180 epochs each" in done.stderr
+    assert "Fewer than 30 streets of a sky say little of a rate" in done.stdout

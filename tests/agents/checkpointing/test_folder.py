@@ -244,7 +244,7 @@ def test_a_manifest_is_plain_json(tmp_path: Path) -> None:
 def test_a_refused_command_leaves_no_manifest(tmp_path: Path) -> None:
     """The sky is refused after the folder was claimed; then other work may have the folder."""
     out = tmp_path / "out"
-    done = CliRunner().invoke(app, ["assess", "bounding", "--in-the-loop", "--sky", "nope", "--out", str(out)])
+    done = CliRunner().invoke(app, ["assess", "bounding", "--in-the-loop", "--set", "skies=[nope]", "--out", str(out)])
     assert (done.exit_code, "'nope' is unknown" in done.stderr) == (2, True)
     assert not (out / MANIFEST).exists()
     ResultFolder(out, "other work").claim()

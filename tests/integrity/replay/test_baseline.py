@@ -239,8 +239,10 @@ def test_a_base_far_from_its_codes_is_noticed(tmp_path: Path) -> None:
     assert "from --base-position: an error of it is an error of every position, and in no level" in near.output
     assert "base_from_codes_m" in near.output
     assert "m from where its own codes put it, which are good to about 10 m" in off.stderr
+    assert "correct --base-position of its antenna" in off.stderr
     assert far.exit_code == 2
     assert "from --base-position, must be that of its antenna, its own codes put it 5.0 km away" in far.stderr
+    assert "correct --base-position" in far.stderr
 
 
 def test_a_base_that_moves_is_refused(tmp_path: Path) -> None:
@@ -251,7 +253,10 @@ def test_a_base_that_moves_is_refused(tmp_path: Path) -> None:
         place = PLACE + (time[:, None] * [0.0, speed_mps, 0.0]) @ AXES.T
         text = observation_text(receiver(table, time, place, clock_s=1e-4, seed=seed))
         (tmp_path / f"{name}.obs").write_text(text)
-    with pytest.raises(InputError, match="its codes say that it moves: check that --rover and --base are not swapped"):
+    with pytest.raises(
+        InputError,
+        match=r"its codes say that it moves: .* the bound is 15 m; check that --rover and --base are not swapped",
+    ):
         run_baseline(tmp_path / "pillar.obs", tmp_path / "car.obs", [tmp_path / "base.nav"], tmp_path / "out")
 
 

@@ -61,12 +61,17 @@ def test_a_rover_that_walks_is_refused(tmp_path: Path) -> None:
         (tmp_path / f"{name}.obs").write_text(observation_text(data))
     files = tmp_path / "rover.obs", tmp_path / "base.obs", [tmp_path / "base.nav"], tmp_path / "out"
     run_baseline(*files, base_ecef_m=PLACE, config=BaselineConfig())
-    with pytest.raises(InputError, match=r"fixed positions differ by 1\.. m"):
+    with pytest.raises(InputError, match=r"fixed positions differ by 1\.. m, the bound is 0\.5 m"):
         run_baseline(*files, base_ecef_m=PLACE, config=BaselineConfig(static=True))
 
 
 def test_a_car_is_refused(tmp_path: Path) -> None:
     folder = real("rtk_cssrlib_4p7km_doy265")
     files = folder / "SEPT265G.21O", folder / "3034265G.21O", [folder / "SEPT2650.21P"], tmp_path
-    with pytest.raises(InputError, match="its codes say that it moves"):
+    with pytest.raises(InputError, match=r"its codes say that it moves: .* lie 7\d m and more .*, the bound is 15 m"):
         run_baseline(*files, config=BaselineConfig(static=True))
+    nagoya = ecef_from_geodetic(np.radians(35.3), np.radians(137.5), 100.0)
+    with pytest.raises(
+        InputError, match=r"--rover-position .* its codes say that it moves: .*the bound is 15 m; leave"
+    ):
+        run_baseline(*files, rover_ecef_m=nagoya)
