@@ -16,7 +16,7 @@ from lanebound.envs.observation import ObservationConfig
 from lanebound.envs.perception import PerceptionConfig
 from lanebound.envs.rendering.config import RenderingConfig
 from lanebound.envs.rewards import RewardConfig
-from lanebound.envs.sky import RECORDING, SKY_LEVELS, SkyLevel
+from lanebound.envs.sky import RECORDING, SKIES, SkyLevel
 from lanebound.envs.worlds.wander import WanderConfig
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
@@ -63,7 +63,7 @@ class EnvConfig(Config):
     policy_hz: int = Field(2, ge=1, le=50, description="decisions in a second; must divide simulation_hz")
     sky: str = Field(
         "urban",
-        description=f"level of the sky: {', '.join(SKY_LEVELS)}, a preset's full name, a .csv recording, a .yaml file",
+        description=f"packaged sky: {', '.join(SKIES)}; or a .csv recording, a .yaml file",
     )
     layouts: int = Field(4, ge=1, le=64, description="number of generated cities, one of them drawn for each episode")
     extent_m: float = Field(2500.0, gt=0, description="length of a lane that is lined with buildings")
@@ -103,6 +103,14 @@ class EnvConfig(Config):
     cost_limit: float = Field(10.0, ge=0, description="of an episode's cost, for constrained learning; not enforced")
     rendering: RenderingConfig = Field(RenderingConfig(), description="size and style of pictures")
 
+    @classmethod
+    def kept(cls, base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+        """The part of ``base`` that remains valid with ``changes``: all but the services of its navigator."""
+        observation = base.get("observation")
+        if not isinstance(observation, Mapping):
+            return dict(base)
+        return {**base, "observation": {k: v for k, v in observation.items() if k != "navigator_services"}}
+
     @field_validator("navigator", mode="before")
     @classmethod
     def _navigator_by_name(cls, value: Any) -> Any:
@@ -122,11 +130,17 @@ class EnvConfig(Config):
             return data
         observation = dict(data.get("observation", {}))
         shown = {
-            "services": _services_in(navigator),
+            "navigator_services": _services_in(navigator),
             "context": _has_context(navigator),
             "filters": navigator.get("kind") == "filter",
             "speed_geometry": _limits_sdop(navigator),
         }
+        given = observation.get("navigator_services")
+        if given and isinstance(given, list | tuple) and tuple(given) != shown["navigator_services"]:
+            raise ConfigError(
+                f"observation.navigator_services must be left to navigator.service, got {list(given)}: "
+                "set observation.services"
+            )
         changed = {name: value for name, value in shown.items() if value or observation.get(name)}
         return {**data, "observation": {**observation, **changed}} if changed else data
 
@@ -135,11 +149,11 @@ class EnvConfig(Config):
     def _sky_exists(cls, name: str) -> str:
         if name.endswith((*RECORDING, *FILES)):
             SkyLevel.named(name)
-        elif name not in SKY_LEVELS and "/" not in name:
-            advice = nearest(name, SKY_LEVELS)
+        elif name not in SKIES and "/" not in name:
+            advice = nearest(name, SKIES)
             close = f": {advice}" if advice.startswith("did") else ""
             raise ConfigError(
-                f"sky must be one of {', '.join(SKY_LEVELS)}, or a file, got {name!r}{close} "
+                f"sky must be one of {', '.join(SKIES)}, or a file, got {name!r}{close} "
                 "(files: .csv of 'lanebound record-sky', .yaml of your own)"
             )
         return name

@@ -141,7 +141,12 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `available` | no protection level exceeds its alert limit |
     | `alert`, `tta_s` | an alert is on; time left to react to it (1 s without an alert) |
     | `reason` | why the alert is on: code of `AlertReason` |
-    | `mode` | source of the position: 0 none, 1 RTK, 2 Doppler, 3 IMU and odometer, 4 code |
+    | `mode` | source of the position: code of `Mode`, see below |
+
+    Codes of `mode`: 0 no solution, 1 RTK, 2 Doppler, 3 IMU + odometer, 4 code; with a
+    [positioning service](navigation.md#positioning-services) also 5 SPP, 6 DGPS, 7 SBAS L1, 8 SBAS DFMC, 9 PPP,
+    10 network RTK. Registered modes have the next codes. `lanebound.integrity.positioning.modes.Mode` is the table:
+    `Mode(9).label`.
 
     Codes of `reason`: 0 none, 1 PL_AT, 2 PL_CT, 3 both, 4 no solution, 5 a test failed, 6 accuracy, 7 initialising, 8
     not converged, 9 holding (the limits are met again, and the alert clears soon).
@@ -188,7 +193,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     | key | meaning |
     |---|---|
-    | `sky` | `"open"`, `"suburban"`, `"urban"`, `"dense"`, a recorded sky (`.csv`), or your own (`.yaml`) |
+    | `sky` | `"open"`, `"suburban"`, `"urban"`, `"dense"`, `"plaza"`, a recorded sky (`.csv`), or your own (`.yaml`) |
     | `faults` | random faults: `"none"`, `"nominal"` or `"stress"` |
     | `action`, `policy_hz`, `simulation_hz` | kind of action; decisions and steps of the dynamics (20) in a second |
     | `navigation.source` | `"navigator"`, `"perfect"` (true pose) or `"offset"` (true pose plus a constant error) |

@@ -19,7 +19,7 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 __all__ = ["AgentConfig", "SeedsConfig", "SuiteConfig", "flat_changes", "load_suite", "parse_agents"]
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
-FOLDER = "suites/"
+FOLDER, SKIES = "suites/", "skies/"
 NEEDS: dict[str, dict[str, Any]] = {"oracle": {"observation": {"integrity": "oracle"}}}
 
 
@@ -99,8 +99,10 @@ class SuiteConfig(Config):
     @field_validator("envs", "skies", "faults")
     @classmethod
     def _each_once(cls, given: tuple[str | FaultLevel, ...], info: ValidationInfo) -> tuple[str | FaultLevel, ...]:
-        """A repeated cell would count its seeds twice; two names of one file are one sky."""
-        names = [name.value if isinstance(name, FaultLevel) else str(PurePath(name)) for name in given]
+        """A repeated cell would count its seeds twice; two names of one file or preset are one sky."""
+        names = [
+            name.value if isinstance(name, FaultLevel) else str(PurePath(name)).removeprefix(SKIES) for name in given
+        ]
         _require_once(str(info.field_name), names, "name each once")
         return given
 

@@ -108,7 +108,7 @@ def informativeness(
     out: Annotated[Path, typer.Option(help="Folder for results.json and the figure; a run is resumed there.")],
     sky: Annotated[
         list[str] | None,
-        typer.Option(help="A level of sky; may be repeated. The study has urban, dense and skies/plaza."),
+        typer.Option(help="A level of sky; may be repeated. The study has urban, dense and plaza."),
     ] = None,
     streets: Annotated[int | None, typer.Option(min=2, help="Streets of each sky; the study has 12.")] = None,
     jobs: Jobs = 1,

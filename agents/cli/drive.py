@@ -187,7 +187,7 @@ def _drive(
         for i, seed in enumerate(seeds)
     ]
     sensed = env.config.navigation.source.uses_sensors
-    named = env.config.observation.services if sensed else ()
+    named = env.config.observation.navigator_services if sensed else ()
     return outcomes, position_of(log.rows), env.config.cost_limit, named
 
 

@@ -24,7 +24,13 @@ def refuse_keys(root: str, changes: Mapping[str, Any]) -> None:
     ConfigError
         As the configuration itself would refuse it later.
     """
-    _refuse(_known()[root], changes, "")
+    from lanebound.integrity.core.errors import ConfigError
+
+    known = _known()
+    for key in changes:
+        if "overrides" in known[root] and key not in known[root] and key in known["environment"]:
+            raise ConfigError(f"{key} is a key of an environment, not of the {root}: write overrides.{key}")
+    _refuse(known[root], changes, "")
 
 
 def _refuse(known: Mapping[str, Any], changes: Mapping[str, Any], path: str) -> None:

@@ -51,7 +51,9 @@ Plugins = Annotated[
 ]
 """The option itself loads the plug-ins: most commands do not read its value."""
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the first episode; each next one has the next.")]
-Sky = Annotated[str | None, typer.Option(help="Sky: open, suburban, urban, dense, a file of record-sky, or FILE.yaml.")]
+Sky = Annotated[
+    str | None, typer.Option(help="Sky: open, suburban, urban, dense, plaza, FILE.csv of record-sky, or FILE.yaml.")
+]
 Video = Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Film the episodes.")]
 
 

@@ -14,7 +14,7 @@ from lanebound.agents.episodes.opening import open_env
 from lanebound.envs.config import FaultLevel
 from lanebound.envs.ids import CLASSES, id_of
 from lanebound.envs.info import INFO
-from lanebound.envs.sky import SKY_LEVELS
+from lanebound.envs.sky import SKIES
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -39,7 +39,7 @@ def made() -> StaticTable:
     return {
         "environments": [facts(open_env(id_of(kind))) for kind in CLASSES],
         "info": dict(INFO),
-        "skies": list(SKY_LEVELS),
+        "skies": list(SKIES),
         "faults": [level.value for level in FaultLevel],
         "keys": keys,
     }

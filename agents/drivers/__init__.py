@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import NoneType
@@ -134,8 +134,8 @@ def _maker(name: str) -> Any:
     return getattr(import_module(module), maker)
 
 
-def unknown_agent(name: str) -> InputError:
-    """The refusal of a name that no agent has."""
+def unknown_agent(name: str, suite: Sequence[str] = ()) -> InputError:
+    """The refusal of a name that no agent has, neither of the package nor of a ``suite``."""
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.core.presets import nearest
 
@@ -146,7 +146,12 @@ def unknown_agent(name: str) -> InputError:
         return InputError(
             f"agent '{name}' is unknown: write '{module}:{attribute}' for a callable of a module of yours"
         )
-    return InputError(f"agent '{name}' is unknown: {nearest(name, AGENTS)} (see 'lanebound agents'), or give a file")
+    advice, where = nearest(name, (*suite, *AGENTS)), "see 'lanebound agents'"
+    if suite and advice.startswith("did you mean"):
+        where = f"the suite has {', '.join(suite)}; {where}"
+    elif suite:
+        advice = f"the suite has {', '.join(suite)}, the package {', '.join(AGENTS)}"
+    return InputError(f"agent '{name}' is unknown: {advice} ({where}), or give a file")
 
 
 def _require_actions(name: str, env: DrivingEnv) -> None:

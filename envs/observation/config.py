@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.plugins import bare_name, find
+from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["ObservationConfig"]
 
@@ -24,7 +26,10 @@ class ObservationConfig(Config):
         "traffic; oracle: the true state with levels of 0",
     )
     services: tuple[str, ...] = Field(
-        (), description="services whose modes have entries; an environment sets those of navigator.service"
+        (), description="services whose modes have entries, beside those of navigator.service; by code of mode"
+    )
+    navigator_services: tuple[str, ...] = Field(
+        (), description="services of navigator.service, whose modes have entries; an environment sets it"
     )
     context: bool = Field(
         False, description="entries of the context monitor; an environment sets it where the navigator has one"
@@ -71,6 +76,20 @@ class ObservationConfig(Config):
     length_max_m: float = Field(20.0, gt=0, description="scale of the length of vehicles; an articulated lorry")
     width_max_m: float = Field(4.0, gt=0, description="scale of the width of vehicles; chosen")
 
+    @field_validator("services", mode="before")
+    @classmethod
+    def _services_as_a_navigator_names_them(cls, value: Any) -> Any:
+        """A list, or one name; ``rtk`` is left out, whose mode has an entry anyway."""
+        names = [value] if isinstance(value, str) else value
+        return [name for name in names if name != Mode.RTK.key] if isinstance(names, list | tuple) else value
+
+    @model_validator(mode="after")
+    def _services_exist(self) -> Self:
+        for name in self.services:
+            bare_name(name)  # imports the module that registers the service
+            find(name, {mode.key: mode for mode in Mode if mode.is_service}, "services")
+        return self
+
     @model_validator(mode="after")
     def _distances_ascend(self) -> Self:
         for name, distances, bound in (("preview_m", self.preview_m, ">"), ("satellites_m", self.satellites_m, ">=")):
@@ -78,6 +97,11 @@ class ObservationConfig(Config):
             if not positive or any(a >= b for a, b in pairwise(distances)):
                 raise ConfigError(f"{name} must be {bound} 0 and ascend, got {list(distances)}: correct the distances")
         return self
+
+    @property
+    def shown_services(self) -> frozenset[str]:
+        """Services whose modes have entries."""
+        return frozenset(name.rpartition(":")[2] for name in (*self.services, *self.navigator_services))
 
     @property
     def shows_levels(self) -> bool:

@@ -164,7 +164,7 @@ def _levels(c: ObservationConfig) -> list[Entry]:
         *(g.flag(f"reason_{r.name.lower()}", r.value, f"view.reason == {r.code}") for r in AlertReason
           if r is not AlertReason.CONTEXT_WARNING or c.context),
         *(g.flag(f"mode_{m.key}", f"source of the position: {m.label}", f"belief.mode == {int(m)}")
-          for m in Mode if not m.is_service or m.key in c.services),
+          for m in Mode if not m.is_service or m.key in c.shown_services),
         *(g.flag(f"rtk_{r.name.lower()}", r.value, f"belief.rtk == {r.code}") for r in RtkStatus),
         g.positive("since_rtk", "s", most, "time since the last RTK position; 1 before the first one",
                    "belief.since_rtk_s"),

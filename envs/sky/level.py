@@ -8,15 +8,20 @@ from typing import Any
 
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.core.presets import FILES, load_file
+from lanebound.integrity.core.presets import FILES, load_file, preset_names
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
 from lanebound.integrity.sky.survey import MapConfig
 
-__all__ = ["RECORDING", "SKY_LEVELS", "SkyLevel"]
+__all__ = ["RECORDING", "SKIES", "SKY_LEVELS", "SkyLevel"]
 
+FOLDER = "skies/"
 SKY_LEVELS = ("open", "suburban", "urban", "dense")
+"""Levels of difficulty, the easiest first."""
+_PRESETS = [name.removeprefix(FOLDER) for name in preset_names() if name.startswith(FOLDER)]
+SKIES = (*SKY_LEVELS, *(name for name in _PRESETS if name not in SKY_LEVELS))
+"""Short names of all packaged skies: the levels, and the other presets of ``configs/skies/``."""
 RECORDING = (".csv", ".csv.gz")  # how names of recorded skies end
 AS_RECORDED = "urban"  # the level whose link and instruments go with a recorded sky
 
@@ -66,7 +71,7 @@ class SkyLevel(Config):
 
     @classmethod
     def named(cls, name: str) -> SkyLevel:
-        """Load a packaged level: ``open``, ``suburban``, ``urban`` or ``dense``; or the full name of another preset.
+        """Load a packaged sky by its short name, one of ``SKIES``, or by the full name of its preset (``skies/urban``).
 
         A ``.csv`` file is a recorded sky, used with the link and the instruments of ``urban``. A ``.yaml`` file is a
         level of the user and can contain ``extends: skies/urban``.
@@ -84,7 +89,7 @@ class SkyLevel(Config):
                     f"sky must name a file, got {name!r}, which is none: make it by 'lanebound record-sky'"
                 )
             return cls.named(AS_RECORDED).replace(recording=name)
-        return cls.preset(f"skies/{name}" if name in SKY_LEVELS else name)
+        return cls.preset(f"{FOLDER}{name}" if name in SKIES else name)
 
     def navigator(self, base: NavigatorConfig | None = None) -> NavigatorConfig:
         """The navigator configuration ``base`` (or the default) with reference link and instruments of this level."""

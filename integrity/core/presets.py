@@ -22,7 +22,7 @@ __all__ = [
 
 PRESET_PACKAGE = "lanebound.configs"
 FEW = 8  # largest number of presets listed in a message
-SIMILAR = 0.6  # ratio of difflib above which words are similar
+SIMILAR = 0.65  # ratio of difflib above which words are similar; one wrong letter of three has 0.67
 FILES = (".yaml", ".yml")
 VERSION = re.compile(r"-v\d+$")
 YAML_FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")  # YAML 1.1 reads 1e-7 as text

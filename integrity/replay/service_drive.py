@@ -26,7 +26,7 @@ from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.navigators.navigator import Measurements, NavigatorConfig
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
 from lanebound.integrity.navigators.rtk_reckoning.navigator import RtkReckoningNavigator
-from lanebound.integrity.navigators.services.table import declared_of, service_named
+from lanebound.integrity.navigators.services.table import SERVICES, declared_of, service_named
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.replay.bridge import BridgeConfig
 from lanebound.integrity.replay.code_epochs import WINDOW_S, fit_heading
@@ -150,7 +150,7 @@ def config_of(
     Raises
     ------
     ConfigError
-        A change is invalid, or asks for carrier smoothing where no carrier is recorded.
+        A change is invalid, is of a service that is not used, or asks for carrier smoothing without a carrier.
     """
     c = BridgeConfig()
     base: dict[str, Any] = {
@@ -174,6 +174,7 @@ def config_of(
     if epochs.odometry is None:  # nothing moves a position, so that each epoch needs its own
         base["services"] = {s.name: {"interval_s": 0.0} for s in map(service_named, names) if s.declared is None}
     config = RtkReckoningConfig.build(base, changes)
+    _require_used((changes or {}).get("services"), [service_named(name).name for name in config.service])
     for service in map(service_named, config.service):
         declared = declared_of(config, service)
         if declared.smoothing_s > 0.0 and not epochs.has_carrier:
@@ -182,6 +183,17 @@ def config_of(
                 f"{declared.smoothing_s:g}: codes cannot be smoothed there"
             )
     return config
+
+
+def _require_used(changed: Any, chosen: Sequence[str]) -> None:
+    """Refuse changes of services that the drive does not use: they would have no effect."""
+    names = changed if isinstance(changed, Mapping) else {}
+    unused = next((name for name in names if name in SERVICES and name not in chosen), None)
+    if unused is not None:
+        raise ConfigError(
+            f"services.{unused} must be of a service that is used, {', '.join(chosen)}: add {unused} to --service, or "
+            "leave it out"
+        )
 
 
 def drive_service(epochs: ServiceEpochs, config: RtkReckoningConfig, progress: Progress = silent) -> ServiceDrive:

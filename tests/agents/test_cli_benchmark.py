@@ -132,6 +132,14 @@ def test_json_is_that_of_the_file(driven, results, tmp_path):
         (["benchmark", "quick"], "error: --out is required, got nothing: add it"),
         (["benchmark", "quick", "--out", __file__], "error: out must be a folder that can be written"),
         (["benchmark", "quick", "--out", "x", "--agents", "nominl"], "error: agent 'nominl' is unknown: did you mean"),
+        (
+            ["benchmark", "services", "--out", "x", "--agents", "nominal,aware_sp"],
+            "error: agent 'aware_sp' is unknown: did you mean 'aware_spp'? (the suite has aware_rtk, aware_nrtk, ",
+        ),
+        (
+            ["benchmark", "services", "--out", "x", "--agents", "me=zzz"],
+            "error: agent 'zzz' is unknown: the suite has aware_rtk, aware_nrtk, ",
+        ),
         (["benchmark", "quick", "--out", "x", "--set", "skies=[dence]"], "error: sky must be one of open"),
         (
             ["benchmark", "quick", "--out", "x", "--set", "skies=[]"],

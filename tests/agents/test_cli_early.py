@@ -1,13 +1,16 @@
 """Refusals before slow imports: static lists are those of the environments, and nothing heavy is imported."""
 
+import json
 import subprocess
 import sys
 from importlib import resources
 from pathlib import Path
+from typing import get_args
 
 import pytest
+from typer.testing import CliRunner
 
-from lanebound.agents.cli import keys
+from lanebound.agents.cli import app, keys, options
 from lanebound.agents.cli.early import refuse_early, refuse_film, refuse_preset
 from lanebound.agents.cli.static import TABLE
 from lanebound.agents.cli.static_write import made, text_of
@@ -28,7 +31,10 @@ def test_the_static_table_is_that_of_the_environments_and_configurations() -> No
         ({"env": "LaneKeepin"}, "environment 'LaneKeepin' is unknown: did you mean 'LaneKeeping-v0'"),
         ({"env": "lanebound/Nowhere-v0"}, "environment 'lanebound/Nowhere-v0' is unknown"),
         ({"agent": "nominl"}, "agent 'nominl' is unknown: did you mean 'nominal'"),
-        ({"sky": "urbn"}, "sky must be one of open, suburban, urban, dense, or a file, got 'urbn': did you mean"),
+        (
+            {"sky": "urbn"},
+            "sky must be one of open, suburban, urban, dense, plaza, or a file, got 'urbn': did you",
+        ),
         ({"faults": "stres"}, "faults must be one of none, nominal, stress, got 'stres': did you mean 'stress'"),
     ],
 )
@@ -40,6 +46,15 @@ def test_names_that_cannot_exist_are_refused(names: dict[str, str], message: str
 @pytest.mark.parametrize("env", ["lanekeeping", "LaneKeeping-v0", "lanebound/Merge-v0", "two-way-v0", "mine:Own-v0"])
 def test_names_that_may_exist_pass(env: str) -> None:
     refuse_early(env, "package.module:make", "skies/plaza", "stress")
+
+
+def test_skies_are_known_by_the_names_that_are_listed() -> None:
+    listed = json.loads(CliRunner().invoke(app, ["config", "list", "skies", "--json"]).stdout)
+    for row in listed:
+        short = row["preset"].removeprefix("skies/")
+        refuse_early(sky=short)
+        refuse_early(sky=row["preset"])
+        assert f" {short}," in get_args(options.Sky)[1].help
 
 
 def test_files_that_do_not_exist_are_refused(tmp_path: Path) -> None:
@@ -88,6 +103,13 @@ def test_keys_and_bounds_are_refused_early_as_later(change: str, message: str) -
             refuse()
     with pytest.raises(ConfigError, match=rf"^overrides\.{message.split()[0]}"):
         keys.refuse_keys("suite", {"overrides": given})
+
+
+@pytest.mark.parametrize("root", ["suite", "experiment"])
+def test_a_key_of_an_environment_is_offered_below_overrides(root: str) -> None:
+    with pytest.raises(ConfigError, match=f"^duration_s is a key of an environment, not of the {root}: write override"):
+        keys.refuse_keys(root, {"duration_s": 5})
+    keys.refuse_keys(root, {"overrides": {"duration_s": 5}})
 
 
 def test_what_only_the_configuration_can_judge_passes() -> None:

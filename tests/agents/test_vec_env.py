@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs.episode_totals import EPISODE_KEY
+from lanebound.envs.observation import entries
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.core.errors import InputError
 
@@ -61,6 +62,24 @@ def test_it_does_what_a_dummy_of_single_environments_does() -> None:
     assert engine.env_is_wrapped(Monitor) == [True] * 3  # as far as its infos go
     for masks, env in zip(engine.env_method("action_masks"), single.envs, strict=True):
         np.testing.assert_array_equal(masks, env.unwrapped.action_masks())
+
+
+def test_one_layout_of_observations_serves_several_services() -> None:
+    spaces = []
+    for service in ("spp", "dgps"):
+        config = {"sky": "open", "navigator": {"service": service}, "observation": {"services": ["dgps", "spp"]}}
+        engine = EngineVecEnv("lanebound/LaneKeeping-v0", 2, config)
+        single = DummyVecEnv([lambda c=config: gymnasium.make("lanebound/LaneKeeping-v0", config=c) for _ in range(2)])
+        spaces += [engine.observation_space, single.observation_space]
+        names = [e.name for e in entries(single.envs[0].unwrapped.config.observation) if e.group == "integrity"]
+        places = [names.index("mode_spp"), names.index("mode_dgps")]
+        assert places[0] + 1 == places[1]
+        for env in (engine, single):
+            env.seed(4)
+            seen = env.reset()["integrity"][:, places]
+            np.testing.assert_array_equal(seen, [[service == "spp", service == "dgps"]] * 2)
+            env.close()
+    assert all(space == spaces[0] for space in spaces)
 
 
 def test_statistics_of_episodes_are_those_of_single_environments() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,11 +14,13 @@ from numpy.typing import NDArray
 
 from lanebound.agents.cli.kinds import resolve
 from lanebound.envs.config import EnvConfig
+from lanebound.envs.manual import markdown
 from lanebound.envs.records import azimuth_of, enu_of
 from lanebound.envs.scene import navigator_config
-from lanebound.envs.sky import SKY_LEVELS, SkyLevel, Street, build_street
+from lanebound.envs.sky import SKIES, SKY_LEVELS, SkyLevel, Street, build_street
 from lanebound.envs.worlds import LaneKeepingWorld
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import preset_names
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
@@ -37,6 +40,19 @@ def test_levels_are_presets_that_the_command_line_knows(name: str) -> None:
     assert kind == "sky_level"
     assert config == SkyLevel.named(name)
     assert SkyLevel.from_json(config.to_json()) == config
+
+
+def test_every_packaged_sky_is_known_by_its_short_and_its_full_name_and_documented() -> None:
+    full = [name for name in preset_names() if name.startswith("skies/")]
+    assert sorted(f"skies/{name}" for name in SKIES) == sorted(full)
+    assert SKIES[: len(SKY_LEVELS)] == SKY_LEVELS
+    page = markdown()
+    for name in SKIES:
+        levels = [EnvConfig.build({"base": "highway-v0"}, {"sky": sky}).level for sky in (name, f"skies/{name}")]
+        assert levels == [SkyLevel.preset(f"skies/{name}")] * 2
+        assert f"\n| `{name}` | " in page
+    with pytest.raises(ConfigError, match=r"^sky must be one of .*plaza, or a file, got 'plazza': did you mean 'plaza"):
+        EnvConfig.build({"base": "highway-v0"}, {"sky": "plazza"})
 
 
 def test_an_unknown_level_is_refused() -> None:
@@ -136,23 +152,20 @@ def outages_s(missing: NDArray[np.bool_], dt_s: float) -> NDArray[np.float64]:
     return np.asarray((np.nonzero(step < 0)[1] - np.nonzero(step > 0)[1]) * dt_s)
 
 
+def _drives(name: str, world: type, layouts: int = LAYOUTS) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+    """What :func:`drive` gives in each city of a sky."""
+    env = world()
+    env.reset(seed=0)
+    level, network = SkyLevel.named(name), env.road.network
+    for k in range(layouts):
+        yield drive(network, build_street(network, level, k), level.navigator(), k)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("world", [HighwayEnv, LaneKeepingWorld])
 @pytest.mark.parametrize("name", SKY_LEVELS)
 def test_rtk_is_missing_as_often_as_the_level_says(name: str, world: type) -> None:
-    env = world()
-    env.reset(seed=0)
-    level = SkyLevel.named(name)
-    missing, late = (
-        np.concatenate(columns, 1)
-        for columns in zip(
-            *(
-                drive(env.road.network, build_street(env.road.network, level, k), level.navigator(), k)
-                for k in range(LAYOUTS)
-            ),
-            strict=True,
-        )
-    )
+    missing, late = (np.concatenate(columns, 1) for columns in zip(*_drives(name, world), strict=True))
     low, high = BANDS[name]
     assert low <= missing.mean() <= high
     if name == "open":
@@ -161,3 +174,11 @@ def test_rtk_is_missing_as_often_as_the_level_says(name: str, world: type) -> No
     assert 0.2 < by_link < 0.75, "half by the link, half by what stands beside the road"
     lengths = outages_s(missing, 0.1)
     assert np.quantile(lengths, 0.98) < 60.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("world", "low", "high"), [(HighwayEnv, 0.185, 0.255), (LaneKeepingWorld, 0.495, 0.635)])
+def test_rtk_is_missing_under_plaza_as_often_as_the_page_says(world: type, low: float, high: float) -> None:
+    shares = [missing.mean() for missing, _ in _drives("plaza", world, layouts=4)]
+    assert low <= min(shares)
+    assert max(shares) <= high

@@ -147,6 +147,7 @@ def test_nearest_takes_any_key():
         ("nope", ["np", "make"], "known are make, np"),  # half as long
         ("nonsense-v0", ["intersection-v0", "merge-v1"], "known are intersection-v0, merge-v1"),  # too few letters
         ("LaneKeeping", ["lanebound/LaneKeeping-v0", "x"], "did you mean 'lanebound/LaneKeeping-v0'?"),  # contained
+        ("elevation_mask_deg", ["reflection_loss_db"], "known are reflection_loss_db"),  # of another meaning
         ("tyo", ["toy", "boy"], "did you mean 'toy'?"),
         ("LaneKeping", ["lanebound/LaneKeeping-v0", "lanebound/Merge-v0"], "did you mean 'lanebound/LaneKeeping-v0'?"),
         ("Merg-v0", ["lanebound/LaneKeeping-v0", "lanebound/Merge-v0"], "did you mean 'lanebound/Merge-v0'?"),

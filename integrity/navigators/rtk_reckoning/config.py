@@ -40,7 +40,11 @@ class RtkReckoningConfig(NavigatorConfig):
     @field_validator("service", mode="before")
     @classmethod
     def _one_service_is_a_list(cls, value: Any) -> Any:
-        return (value,) if isinstance(value, str) else value
+        if isinstance(value, list | tuple):
+            return value
+        if not isinstance(value, str):
+            raise ConfigError(f"service must be a name or a list of names, got {value!r}: write spp, or [rtk, spp]")
+        return (value,)
 
     @model_validator(mode="after")
     def _services_fit(self) -> Self:

@@ -95,6 +95,7 @@ def test_an_environment_is_changed_by_suite_place_and_agent():
             {"skies": ["dense", "dense", "dense"]},
             "^skies must differ from each other, got dense 3 times: name each once",
         ),
+        ({"skies": ["plaza", "skies/plaza"]}, "^skies must differ from each other, got plaza 2 times"),
         ({"skies": ["./a.csv", "a.csv"]}, "^skies must differ from each other, got a.csv 2 times"),
         ({"faults": ["none", "none"]}, "^faults must differ from each other, got none 2 times"),
         ({"agents": ["cruise", {"cruise": "idm"}]}, "^agents must differ from each other, got cruise 2 times: give"),

@@ -198,6 +198,8 @@ def test_a_vehicle_does_not_depend_on_the_batch_and_goes_on_from_a_snapshot() ->
 def test_what_cannot_be_is_refused() -> None:
     for given, message in (
         ({"service": "wifi"}, "service must be among rtk, nrtk, .*, spp, got 'wifi'"),
+        ({"service": 5}, r"^service must be a name or a list of names, got 5: write spp, or \[rtk, spp\]"),
+        ({"service": {"spp": 1}}, "^service must be a name or a list of names, got"),
         ({"service": ["spp", "spp"]}, "name each one once"),
         ({"service": ["spp", "rtk"]}, "rtk or nrtk first"),
         ({"service": "sbas_dfmc", "gnss": {"bands": [0]}}, "gnss.bands must have 2 .L5. as its second band"),

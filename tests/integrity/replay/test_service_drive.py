@@ -148,6 +148,9 @@ def test_what_would_silently_do_nothing_is_refused() -> None:
     epochs = _recording()
     with pytest.raises(ConfigError, match=r"services\.spp\.smoothing_s must be 0 where no carrier .*, got 100"):
         config_of(epochs, ["spp"], DT_S, {"services": {"spp": {"smoothing_s": 100.0}}})
+    with pytest.raises(ConfigError, match=r"services\.dgps must be of a service that is used, spp: add dgps to --serv"):
+        config_of(epochs, ["spp"], DT_S, {"services": {"dgps": {"max_hdop": 3.0}}})
+    assert config_of(epochs, ["spp"], DT_S, {"services": {"preference": 3.0}}).services.preference == 3.0
     with pytest.raises(InputError, match=r"dt_s must divide the time between epochs, got 0\.3 s"):
         drive_service(epochs, config_of(epochs, ["spp"], 0.3))
     with pytest.raises(InputError, match="has none: give its truth"):
