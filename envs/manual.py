@@ -70,7 +70,7 @@ TOPICS = """## Sky
 | `open` | nothing | no outages | 0 % |
 | `suburban` | houses, trees, overpasses | 5 s | about 5 % |
 | `urban` | four to seven storeys, trees, overpasses | 15 s | 10 to 25 % |
-| `dense` | five to nine storeys, trees, overpasses | 30 s | 30 to 45 % |
+| `dense` | five to nine storeys, trees, overpasses | 30 s | 42 to 52 % |
 | `plaza` | glass towers, far apart, beside wide streets | 15 s | 20 to 65 % |
 
 Half of the missing RTK comes from buildings, half from the link; under `plaza` more comes from buildings. There it is

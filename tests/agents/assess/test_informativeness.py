@@ -69,7 +69,8 @@ def test_a_street_may_lack_a_mode_that_others_have() -> None:
         street["mode"] = [1] * len(street["mode"])
     streets[1]["mode"] = [2] * 10 + [1] * (len(streets[1]["mode"]) - 10)
     found = info.compare(streets, 0.3)
-    assert found["gain"] is not None and found["r2"] is not None
+    assert found["gain"] is not None
+    assert found["r2"] is not None
 
 
 def test_auc_is_the_share_of_ordered_pairs() -> None:

@@ -39,7 +39,7 @@ def over_deviation(m: Measurements, v: int, position: np.ndarray, direct: np.nda
 
 
 def test_strong_codes_are_beyond_three_sigma_no_more_often_than_normal_errors() -> None:
-    """Of a street that chose 0.8 m: errors in a street are few and last, so the limit is the rate of normal errors itself."""
+    """Of a street that chose 0.8 m: its errors are few and last, so the limit is the rate of normal errors itself."""
     config = StreetDrivesConfig(skies=("urban",), seed=51, faults=None, navigator=NAVIGATOR)
     navigator, drive = street_of(config, "urban", 2)
     found: list[np.ndarray] = []

@@ -273,7 +273,7 @@ def test_a_monitor_that_does_nothing_changes_nothing_and_one_without_a_reason_is
 
 def test_the_table_lists_the_monitors_of_the_package() -> None:
     assert list(monitors.BUILT_IN) == [
-        "doppler_fde", "phase_separation", "doppler_separation", "odometer_watch", "drift", "jump",
+        "doppler_fde", "phase_separation", "doppler_separation", "odometer_watch", "drift", "jump", "heading",
     ]  # fmt: skip
     for monitor in monitors.BUILT_IN.values():
         assert monitor.stages

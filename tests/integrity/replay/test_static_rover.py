@@ -36,7 +36,9 @@ def solved(static: bool, seed: int) -> Baseline:
         first_band_of_gps(receiver(table, TIMES, np.tile(place, (TIMES.size, 1)), clock_s=1e-4, seed=10 * seed + k))
         for k, place in enumerate(places.values(), start=1)
     )
-    return solve_baseline(rover, base, table, PLACE, BaselineConfig.build(None, {"static": static, "rtk": {"posterior_margin": 1.25}}))
+    return solve_baseline(
+        rover, base, table, PLACE, BaselineConfig.build(None, {"static": static, "rtk": {"posterior_margin": 1.25}})
+    )
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
