@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.frames import wrap_angle
-from lanebound.integrity.monitoring.heading_doubt_kernel import FOLLOWS, NONE, OPEN
+from lanebound.integrity.monitoring.heading_doubt_kernel import FOLLOWS, NONE, OPEN, cover_axes
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
@@ -174,3 +174,16 @@ def test_a_course_that_no_gyro_explains_inflates_no_level_in_a_tunnel() -> None:
         error, level[turned], _, _ = cars.drive(EVENT_S + 20.0)
         assert (error[-150:] <= level[turned][-150:]).all()
     assert (level[60.0][-1, :, 1] < level[0.0][-1, :, 1] + 0.06 * MPS * 20.0 + 1.0).all()
+
+
+@pytest.mark.parametrize("levels", [(1.0, 4.0), (3.0, 0.5), (2.0, 2.0)])
+@pytest.mark.parametrize("between", [0.0, 0.2, 1.0, 3.0])
+def test_levels_on_turned_axes_are_those_of_the_corners_of_the_box(levels: tuple[float, float], between: float) -> None:
+    """Against all corners at 20,000 angles up to the one given."""
+    turned = np.linspace(0.0, between, 20_000)
+    corners = np.array([(a * levels[0], b * levels[1]) for a in (-1, 1) for b in (-1, 1)])
+    along = np.abs(np.outer(np.cos(turned), corners[:, 0]) + np.outer(np.sin(turned), corners[:, 1])).max()
+    across = np.abs(np.outer(np.cos(turned), corners[:, 1]) - np.outer(np.sin(turned), corners[:, 0])).max()
+    found = np.array(levels)
+    cover_axes(between, found)
+    np.testing.assert_allclose(found, (along, across), rtol=1e-6)
