@@ -107,8 +107,9 @@ def recorded_figures(folder: Path) -> dict[str, Any]:
                 f"{folder} must hold {SOLUTION} and {REFERENCE}, has no {name}: name the folder of a drive"
             )
     solution, truth = read_rtk_solution(folder / SOLUTION), read_reference(folder / REFERENCE)
-    at = np.clip(np.searchsorted(solution.tow_s, truth.tow_s - MATCHED_S), 0, solution.tow_s.size - 1)
-    known = np.abs(solution.tow_s[at] - truth.tow_s) <= MATCHED_S
+    time_s = truth.since_start(solution.gps_time_s)
+    at = np.clip(np.searchsorted(time_s, truth.tow_s - MATCHED_S), 0, time_s.size - 1)
+    known = np.abs(time_s[at] - truth.tow_s) <= MATCHED_S
     if not known.any():
         raise InputError(f"{SOLUTION} and {REFERENCE} of {folder} must overlap in time, do not: use files of one drive")
     latitude, longitude, _ = geodetic_from_ecef(truth.position_ecef_m[0])

@@ -102,7 +102,7 @@ def read_service_epochs(
     if kind == "smartloc":
         require_possible(names, False, "a smartLoc drive")
         drive = read_city(folder)
-        return epochs_of_drive(drive), SMARTLOC_DT_S, {"input": str(drive.stopped)} if drive.stopped else None
+        return epochs_of_drive(drive), SMARTLOC_DT_S, drive.notes or None
     return _rinex_epochs(folder, names)
 
 
