@@ -2,8 +2,8 @@
 
 A row whose time is not later than all before it is left out and counted. Where a tenth of the rows would be, the file
 is refused, because it is not sorted or one wrong time is far ahead; so is one whose clock was set back by more than a
-second, unless the rows repeat times that are there (files that were joined). A gap is an interval that is longer than the usual
-one by 0.2 s and, of slow series, by up to 1 s.
+second, unless the rows repeat times that are there (files that were joined). A gap is an interval that is longer than
+the usual one by 0.2 s and, of slow series, by up to 1 s.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 MOST_BACK = 0.1  # share of rows that go back beyond which a file is refused
-SET_BACK_S = 1.0
+SET_BACK_S, LEAST_ROWS = 1.0, 3
 SHORTEST_GAP_S, LONGEST_USUAL_S, USUAL_INTERVALS = 0.2, 1.0, 4.0  # beyond the usual interval
 
 
@@ -65,7 +65,8 @@ def in_order(name: str | Path, time_s: Array, repeated: bool = False) -> tuple[B
     before = np.concatenate([[-np.inf], np.maximum.accumulate(time_s)[:-1]])
     keep = time_s >= before if repeated else time_s > before
     back = np.flatnonzero(~keep)
-    set_back = (before - time_s > SET_BACK_S) & ~keep & ~np.isin(time_s, time_s[keep])
+    alone = ~keep & (before - time_s > SET_BACK_S) & ~np.isin(time_s, time_s[keep])
+    set_back = np.convolve(alone, np.ones(LEAST_ROWS), "same") >= LEAST_ROWS  # one stray time is no clock
     if back.size > MOST_BACK * time_s.size or set_back.any():  # most would be lost, or later times are wrong
         k = int(np.argmax(set_back)) if set_back.any() else int(back[0])
         raise InputError(
