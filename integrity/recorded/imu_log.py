@@ -85,16 +85,16 @@ def read_imu_log(path: str | Path, tag: str | Path | None = None) -> ImuLog:
     # a copy whose line ends were changed has one byte less in each line than the tags count
     fits = [_clock(path, clock_s, read, timing, tick_s, received) for read in (ends, ends + line_of)]
     rate, offset, off_s = min(fits, key=lambda fit: fit[2])
-    if not CLOCKS[0] < rate < CLOCKS[1]:
-        unit = next((f"; is its clock in {u}, not in ms?" for u, f in CLOCK_UNITS.items() if 0.9 < rate / f < 1.1), "")
-        raise InputError(
-            f"the clock of {path} must run within 1 % of its time tags, got a factor of {rate:.4g}: give its own tags"
-            f"{unit}"
-        )
-    if off_s > MOST_OFF_S:
+    unit = next((unit for unit, factor in CLOCK_UNITS.items() if 0.9 < rate / factor < 1.1), "")
+    if off_s > MOST_OFF_S and not unit:
         raise InputError(
             f"the clock of {path} must keep to a line through its time tags within {MOST_OFF_S:g} s, is {off_s:.2f} s "
-            f"off: one of them jumps; cut the files there, or give its own tags"
+            "off: one of them jumps, or the tags are of another log; cut the files there, or give its own tags"
+        )
+    if not CLOCKS[0] < rate < CLOCKS[1]:
+        raise InputError(
+            f"the clock of {path} must run within 1 % of its time tags, got a factor of {rate:.4f}: "
+            f"{f'it is probably in {unit}, not in ms' if unit else 'give its own tags'}"
         )
     start = start_s + offset
     timing = replace(timing, gaps_s=start + rate * timing.gaps_s)

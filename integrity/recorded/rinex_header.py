@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.packed import CRINEX_REMEDY
 from lanebound.integrity.recorded.source import finite_number, whole_number
 
 __all__ = ["FIRST_LABEL", "LABEL_AT", "SYSTEMS", "Header", "HeaderBuilder", "b1_in_band_2"]
@@ -80,7 +81,7 @@ class HeaderBuilder:
         """Parse one line of the header."""
         label, text = line[LABEL_AT:].strip(), line[:LABEL_AT]
         if self.version is None and label != FIRST_LABEL:
-            remedy = "decompress it with crx2rnx" if label.startswith("CRINEX") else "is it a RINEX file?"
+            remedy = CRINEX_REMEDY if label.startswith("CRINEX") else "is it a RINEX file?"
             raise ValueError(f"the first line must be 'RINEX VERSION / TYPE', got {line[:80]!r}: {remedy}")
         reader = READERS.get(label)
         if reader is not None and (text.strip() or label in NEVER_BLANK):  # a blank optional record is a missing one

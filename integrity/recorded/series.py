@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.source import Stop
 
-__all__ = ["UNTIMED", "Timing", "in_order", "notes"]
+__all__ = ["UNTIMED", "Timing", "in_order", "notes", "require_degrees"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 MOST_BACK = 0.1  # share of rows that go back beyond which a file is refused
+FEWEST_ANGLES, LOW_DEG = 20, 2.0  # elevations whose size shows a unit
 SET_BACK_S, LEAST_ROWS = 1.0, 3
 SHORTEST_GAP_S, LONGEST_USUAL_S, USUAL_INTERVALS = 0.2, 1.0, 4.0  # beyond the usual interval
 
@@ -62,13 +63,16 @@ def in_order(name: str | Path, time_s: Array, repeated: bool = False) -> tuple[B
     InputError
         More than a tenth of the rows are not later than one before, or a clock was set back.
     """
+    if not time_s.size:
+        return np.ones(0, np.bool_), Timing(str(name))
     before = np.concatenate([[-np.inf], np.maximum.accumulate(time_s)[:-1]])
     keep = time_s >= before if repeated else time_s > before
     back = np.flatnonzero(~keep)
     alone = ~keep & (before - time_s > SET_BACK_S) & ~np.isin(time_s, time_s[keep])
     set_back = np.convolve(alone, np.ones(LEAST_ROWS), "same") >= LEAST_ROWS  # one stray time is no clock
-    if back.size > MOST_BACK * time_s.size or set_back.any():  # most would be lost, or later times are wrong
-        k = int(np.argmax(set_back)) if set_back.any() else int(back[0])
+    many = back.size > MOST_BACK * time_s.size
+    if many or set_back.any():  # most would be lost, or later times are wrong
+        k = int(back[0]) if many else int(np.argmax(set_back)) - LEAST_ROWS // 2
         raise InputError(
             f"{name} must have times that increase, {back.size} of {time_s.size} rows go back, row {k + 1} by "
             f"{before[k] - time_s[k]:.3f} s: sort the rows by time, or cut the file where its clock was set back"
@@ -89,3 +93,13 @@ def notes(*series: tuple[str, Stop | None, Timing]) -> dict[str, str]:
     """By name, what of a series was not used or is missing, for those of which something is."""
     texts = ((name, "; ".join(filter(None, (str(stop or ""), timing.note)))) for name, stop, timing in series)
     return {name: text for name, text in texts if text}
+
+
+def require_degrees(what: str, angle_deg: Array, low_deg: float = LOW_DEG) -> None:
+    """Raise InputError where all angles (N,) are small in degrees, as only radians are; by default elevations."""
+    largest = float(np.abs(angle_deg).max(initial=0.0))
+    if angle_deg.size >= FEWEST_ANGLES and largest <= low_deg:
+        raise InputError(
+            f"{what} must be in degrees, the largest of {angle_deg.size} is {largest:.2f}: are they in radians? "
+            "Convert them"
+        )

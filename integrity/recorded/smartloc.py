@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.series import UNTIMED, Timing, in_order, notes
+from lanebound.integrity.recorded.series import UNTIMED, Timing, in_order, notes, require_degrees
 from lanebound.integrity.recorded.source import Lines, Stop, finite_number
 
 __all__ = ["SYSTEM_LETTERS", "GroundTruth", "Odometry", "Pseudoranges", "SmartLoc", "read_smartloc"]
@@ -42,7 +42,6 @@ COLUMNS = {
     ),
     "point3": (("time", *TIME), ("position x", *ANY), ("position y", *ANY), ("position z", *ANY)),
 }  # fmt: skip
-FEWEST_ANGLES = 20  # whose size shows a unit
 NEARER_S = 0.02  # largest time between a true position and the epoch it belongs to; the rate is 5 Hz
 
 
@@ -131,7 +130,7 @@ def read_smartloc(path: str | Path, truth: str | Path | None = None) -> SmartLoc
     ranges = rows["pseudorange3"]
     if not ranges.shape[0]:
         raise InputError(f"{path} must hold lines 'pseudorange3', got none: is it the *_Input file of smartLoc?")
-    _require_degrees(path, ranges[:, 8])
+    require_degrees(f"elevations of {path}", ranges[:, 8])
     return SmartLoc(_pseudoranges(ranges), _odometry(rows["odom3"]), _truth(rows["point3"], truth), stopped, timings)
 
 
@@ -169,15 +168,6 @@ def _numbers(words: list[str]) -> list[float]:
         except ValueError as error:
             raise ValueError(f"{name} {error}") from None
     return values
-
-
-def _require_degrees(path: str | Path, elevation_deg: Array) -> None:
-    """Refuse elevations that are all of 2 degrees at most: satellites are seen higher, they are in radians."""
-    if elevation_deg.size >= FEWEST_ANGLES and float(elevation_deg.max()) <= 2.0:
-        raise InputError(
-            f"{path} must hold elevations in degrees, the largest of {elevation_deg.size} is "
-            f"{float(elevation_deg.max()):.2f}: are they in radians? Convert them"
-        )
 
 
 def _pseudoranges(rows: Array) -> Pseudoranges:

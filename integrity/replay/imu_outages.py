@@ -123,11 +123,6 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
             f"{max(end - start, 0.0):.1f} s: are they of one drive, and both in GPS time?"
         )
     place, speed, heading, known = _reference(track, at)
-    moved = float(speed[at < log.gps_time_s[0] + config.rest_s].max(initial=0.0))
-    if moved > REST_MPS:
-        raise InputError(
-            f"the log must begin with {config.rest_s:g} s at rest, moves at {moved:.1f} m/s: give another rest_s"
-        )
     bridged = log.timing.bridged(at, LAG_S + 1.0 / config.rate_hz, LAG_S + 1.0 / config.rate_hz)
     first = _calibrated_from(speed, known & ~bridged, config)
     part = np.flatnonzero(known[:first] & ~bridged[:first] & (speed[:first] > MOVING_MPS))
@@ -140,8 +135,18 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
 
     _, alike = require_lag("the log", turning[part], lambda lag: sensed(rates[:, 2], lag)[part], YAW_RATE)
     turns = require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds)
+    moved = float(speed[at < log.gps_time_s[0] + config.rest_s].max(initial=0.0))
+    if moved > REST_MPS:
+        raise InputError(
+            f"the log must begin with {config.rest_s:g} s at rest, moves at {moved:.1f} m/s: give another rest_s"
+        )
     off = [float(np.std(sensed(rates[:, 2], lag)[part] - turning[part])) for lag in LAGS_S]
     lag = float(LAGS_S[int(np.argmin(off))])
+    if lag in LAGS_S[[0, -1]]:  # the minimum lies beyond, or nowhere
+        raise InputError(
+            f"turns must show the lag of the log within {LAGS_S[-1]:g} s, its edge fits best: give a longer "
+            "calibration_s, with turns, or correct the times"
+        )
     yaw = sensed(rates[:, 2], lag)
     bias = float((yaw[part] - turning[part]).mean())
     force = np.stack([sensed(level.force_mps2[:, k], lag) for k in range(2)], -1)

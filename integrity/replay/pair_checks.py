@@ -175,7 +175,8 @@ def navigation_notes(files: Mapping[str, Ephemerides], rover: Observations) -> d
         if ((table.toe_s + valid_s >= seen[0]) & (table.toe_s - valid_s <= seen[1])).any():
             continue
         sent = [table.toe_s.min(), table.toe_s.max()] if len(table) else []
-        held = f"its messages are of {' to '.join(map(date_text, sent))} and not used" if sent else "it holds none"
+        others = "; ".join(("it holds none of GPS, Galileo, BeiDou and QZSS", *table.left_out))
+        held = f"its messages are of {' to '.join(map(date_text, sent))} and not used" if sent else others
         notes[name] = f"no message of that time, {' to '.join(map(date_text, seen))}: {held}"
     return notes if len(notes) < len(files) else {}
 

@@ -118,7 +118,7 @@ def _likely(quantity: Quantity, unit: str, slope: float, bounds: tuple[float, fl
     sign = "its sign is reversed" if slope < 0.0 else ""
     scale = f"it is probably in {found}, not in {unit}" if found is not None else ""
     if found is None and (bounds[1] < SLOPES[0] or bounds[0] > SLOPES[1]):
-        scale = "no usual unit explains its size"
+        return "no usual unit explains its size, it is probably another axis or drive; correct the columns"
     return f"{' and '.join(text for text in (sign, scale) if text)}; convert the column"
 
 
