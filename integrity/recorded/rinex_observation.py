@@ -321,7 +321,7 @@ class _Parser:
         """Parse a header line inside the file; what has no label of a header is passed over."""
         self.event.take(text)
         label = text[LABEL_AT:].strip()
-        if label == "SYS / SCALE FACTOR" and not self.event.scale:
+        if label == "SYS / SCALE FACTOR" and text[:LABEL_AT].strip() and not self.event.scale:
             raise ValueError("scale factors must not change inside the file: split it there")
         if label in SITE_LABELS:
             self._moved(label, self.event)

@@ -118,8 +118,9 @@ def require_gps_time(
         They fit no position, but do with times in another scale; the message names the scale.
     """
     own = CodePlaces(observations, codes, choice, table, ionosphere)
-    if own.misfit_m is None or own.misfit_m <= MISFIT_M:
+    if own.misfit_m is not None and own.misfit_m <= MISFIT_M:
         return own
+    found = "give no position" if own.misfit_m is None else f"deviate by {own.misfit_m:,.0f} m from any position"
     leap_s = float(leap_seconds(np.array(observations.week[0] * WEEK_S + observations.tow_s[0])))
     for scale, behind_s in (
         ("BDT without its label; write BDT into columns 49 to 51 of TIME OF FIRST OBS", BDT_BEHIND_GPS_S),
@@ -134,8 +135,8 @@ def require_gps_time(
         misfit = CodePlaces(moved, codes, choice, table, ionosphere).misfit_m
         if misfit is not None and misfit <= MISFIT_M:
             raise InputError(
-                f"times of the {name} must be GPS time, its codes deviate by {own.misfit_m:,.0f} m from any position, "
-                f"and by {misfit:.0f} m with times {behind_s:+g} s later: they are probably {scale}"
+                f"times of the {name} must be GPS time, its codes {found}, and "
+                f"deviate by {misfit:.0f} m with times {behind_s:+g} s later: they are probably {scale}"
             )
     return own
 
