@@ -14,7 +14,7 @@ outage, less the acceleration of the solution there: slope and bias of the accel
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,11 +31,14 @@ from lanebound.integrity.replay.outages import OutageErrors, averaged
 from lanebound.integrity.replay.reckoning import reckon, turned
 from lanebound.integrity.replay.sensor_checks import (
     ACCELERATION,
+    CLEARLY,
     LAG_S,
+    LEAST_CORRELATION,
     PITCH_RATE,
     SPEED,
     YAW_RATE,
     Agreement,
+    correlation,
     require_agreement,
     require_lag,
 )
@@ -52,6 +55,7 @@ OLD_MPS, OLD_SHARE = 1.0, 0.2  # a velocity that differs more from the change of
 LONGEST_GAP_S = 0.6  # between epochs of the solution
 WORST_QUALITY = 2  # of RTKLIB: 1 fixed, 2 float
 LEAST_COHERENCE = 0.7
+MIRRORS = ([-1.0, 1.0, 1.0], [1.0, -1.0, 1.0])  # that of the third axis shows in the yaw rate
 MIRRORED = 0.05  # by how much coherence must be better with a mirrored axis
 SLOPE_S = 2.0  # over which changes of the slope of the road are compared with the pitch gyro
 
@@ -112,8 +116,7 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
             "the solution must have velocities in all rows, has none in some: set out-outvel of RTKLIB to on"
         )
     level, roll, pitch = levelled(log, config.rest_s)
-    rest = log.gps_time_s < log.gps_time_s[0] + config.rest_s
-    rates = level.rate_radps - level.rate_radps[rest].mean(0)
+    rates = _rates(log, config)
     start, end = max(log.gps_time_s[0], track.gps_time_s[0]), min(log.gps_time_s[-1], track.gps_time_s[-1])
     margin = float(LAGS_S[-1])
     at = np.arange(start + margin, end - margin, 1.0 / config.rate_hz)
@@ -151,25 +154,15 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     bias = float((yaw[part] - turning[part]).mean())
     force = np.stack([sensed(level.force_mps2[:, k], lag) for k in range(2)], -1)
     wanted = np.stack([ahead[part], speed[part] * turning[part]], -1)
-    azimuth, coherence = _azimuth(force[part], wanted)
-    mirrored = _azimuth(force[part] * [1.0, -1.0], wanted)[1]
-    if mirrored > max(coherence + MIRRORED, LEAST_COHERENCE):
-        raise InputError(
-            f"axes of the log must be forward, left, up or turned from there, with one axis of the accelerometer "
-            f"mirrored its correlation with the solution rises from {coherence:.2f} to {mirrored:.2f}: change the sign "
-            "of one column"
-        )
-    if coherence < LEAST_COHERENCE:
-        raise InputError(
-            f"accelerations must show how the sensor is mounted: their correlation with the solution is "
-            f"{coherence:.2f}, at least {LEAST_COHERENCE}: give a longer calibration_s, with turns and braking"
-        )
+    azimuth, coherence = _mount(force[part], wanted)
     c, s = math.cos(azimuth), math.sin(azimuth)
     forward = c * force[:, 0] + s * force[:, 1]
-    nodding = c * sensed(rates[:, 1], lag) - s * sensed(rates[:, 0], lag)
-    pitched = np.concatenate([[0.0], np.cumsum(0.5 * (nodding[1:] + nodding[:-1]) * np.diff(at))])
+    pitched, *mirrored = (
+        _integral(at, c * sensed(turned_by[:, 1], lag) - s * sensed(turned_by[:, 0], lag))
+        for turned_by in (rates, *(_rates(replace(log, rate_radps=log.rate_radps * of), config) for of in MIRRORS))
+    )
     pushes = require_agreement(ACCELERATION, "g", "the log", ahead[part], forward[part], seconds)
-    climbs = _slopes_agree(track, at, speed, pitched, part, config)
+    climbs = _slopes_agree(track, at, speed, [pitched, *mirrored], part, config)
     motion = InertialMotion(at - at[0], place, heading, speed, forward, pitched, yaw - bias, known, first, bridged)
     agreements = {"yaw rate": turns, "forward acceleration": pushes, "pitch rate": climbs}
     return motion, {
@@ -179,16 +172,46 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     }  # fmt: skip
 
 
+def _rates(log: ImuLog, config: ImuOutageConfig) -> Array:
+    """Rates (N, 3) of the levelled log less their means at rest [rad/s]."""
+    rates, rest = levelled(log, config.rest_s)[0].rate_radps, log.gps_time_s < log.gps_time_s[0] + config.rest_s
+    return np.asarray(rates - rates[rest].mean(0))
+
+
+def _integral(time_s: Array, rate: Array) -> Array:
+    """Integral from the first time on by trapezoids.  (T,)."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time_s))])
+
+
 def _slopes_agree(
-    track: RtkSolution, at: Array, speed: Array, pitched: Array, part: NDArray[np.int64], config: ImuOutageConfig
-) -> Agreement:
-    """Agreement of the pitch by the gyro with the slope by the velocities, as changes over SLOPE_S in rad/s."""
+    track: RtkSolution, at: Array, speed: Array, pitches: list[Array], part: NDArray[np.int64],
+    config: ImuOutageConfig,
+) -> Agreement:  # fmt: skip
+    """Agreement of the pitch by the gyro with the slope by the velocities, as changes over SLOPE_S in rad/s.
+
+    ``pitches`` are those with the axes of the log, and with one of them mirrored.
+
+    Raises
+    ------
+    InputError
+        A mirrored one fits better, or the first has another unit or sign.
+    """
     assert track.velocity_neu_mps is not None
     slope = np.arctan2(np.interp(at, track.gps_time_s, track.velocity_neu_mps[:, 2]), np.maximum(speed, MOVING_MPS))
     step = max(round(SLOPE_S * config.rate_hz), 1)
     k = part[(part + step < at.size) & np.isin(part + step, part)]
-    by_solution, by_gyro = ((values[k + step] - values[k]) / SLOPE_S for values in (slope, pitched))
+    by_solution, by_gyro, *others = ((values[k + step] - values[k]) / SLOPE_S for values in (slope, *pitches))
+    given, better = correlation(by_solution, by_gyro), max(correlation(by_solution, other) for other in others)
+    if better > max(given + CLEARLY, LEAST_CORRELATION):
+        raise InputError(_mirrored_text("gyro or the accelerometer", given, better))
     return require_agreement(PITCH_RATE, "deg/s", "the log", by_solution, by_gyro, k.size / config.rate_hz)
+
+
+def _mirrored_text(sensor: str, given: float, better: float) -> str:
+    return (
+        f"axes of the log must be forward, left, up or turned from there, with one axis of the {sensor} mirrored its "
+        f"correlation with the solution rises from {given:.2f} to {better:.2f}: change the sign of one column"
+    )
 
 
 def _reference(track: RtkSolution, at: Array) -> tuple[Array, Array, Array, Bools]:
@@ -240,6 +263,26 @@ def _calibrated_from(speed: Array, known: Bools, config: ImuOutageConfig) -> int
             "lower calibration_s"
         )
     return int(np.argmax(driven >= config.calibration_s))
+
+
+def _mount(force: Array, reference: Array) -> tuple[float, float]:
+    """Azimuth of the sensor and the correlation of its accelerations, as :func:`_azimuth`.
+
+    Raises
+    ------
+    InputError
+        The accelerations do not show it, or do with one axis mirrored.
+    """
+    azimuth, coherence = _azimuth(force, reference)
+    mirrored = _azimuth(force * [1.0, -1.0], reference)[1]
+    if mirrored > max(coherence + MIRRORED, LEAST_COHERENCE):
+        raise InputError(_mirrored_text("accelerometer", coherence, mirrored))
+    if coherence < LEAST_COHERENCE:
+        raise InputError(
+            f"accelerations must show how the sensor is mounted: their correlation with the solution is "
+            f"{coherence:.2f}, at least {LEAST_COHERENCE}: give a longer calibration_s, with turns and braking"
+        )
+    return azimuth, coherence
 
 
 def _azimuth(force: Array, reference: Array) -> tuple[float, float]:

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 
 __all__ = [
-    "ACCELERATION", "LAG_S", "PITCH_RATE", "SPEED", "YAW_RATE", "Agreement", "Quantity", "likely_unit",
-    "require_agreement", "require_lag",
+    "ACCELERATION", "CLEARLY", "LAG_S", "LEAST_CORRELATION", "PITCH_RATE", "SPEED", "YAW_RATE", "Agreement", "Quantity",
+    "correlation", "likely_unit", "require_agreement", "require_lag",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def require_agreement(
         return Agreement(1.0, 0.0, False)
     centred = pair - pair.mean(1, keepdims=True)
     (rr, rs), (_, ss) = (centred @ centred.T).tolist()
-    correlation = rs / math.sqrt(rr * ss) if rr * ss > 0.0 else 0.0
+    alike = rs / math.sqrt(rr * ss) if rr * ss > 0.0 else 0.0
     if not quantity.biased:
         (rr, rs), (_, ss) = (pair @ pair.T).tolist()
     slope = rs / rr if rr > 0.0 else 1.0
@@ -105,9 +105,9 @@ def require_agreement(
     if (follows and wrong) or (strong and not follows):
         raise InputError(
             f"{quantity.name} of {where} must follow the reference, the slope on it is {slope:.3g} and the correlation "
-            f"{correlation:.2f}: {_likely(quantity, unit, slope, (low, high), follows)}"
+            f"{alike:.2f}: {_likely(quantity, unit, slope, (low, high), follows)}"
         )
-    return Agreement(slope, correlation, follows)
+    return Agreement(slope, alike, follows)
 
 
 def _likely(quantity: Quantity, unit: str, slope: float, bounds: tuple[float, float], follows: bool) -> str:
@@ -147,12 +147,12 @@ def require_lag(
     if float(np.std(reference)) < quantity.strong:
         return 0.0, sensed(0.0)
     lags = np.arange(-LAG_S, LAG_S + 0.5 * LAG_STEP_S, LAG_STEP_S)
-    near = [abs(_correlation(reference, sensed(float(lag)))) for lag in lags]
+    near = [abs(correlation(reference, sensed(float(lag)))) for lag in lags]
     best = int(np.argmax(near))
     at_edge = best in (0, lags.size - 1)
     if at_edge or near[best] < SURE_CORRELATION:
         far = np.arange(-LONGEST_LAG_S, LONGEST_LAG_S + 0.05, 0.02)
-        wide = [abs(_correlation(reference, sensed(float(lag)))) for lag in far]
+        wide = [abs(correlation(reference, sensed(float(lag)))) for lag in far]
         k = int(np.argmax(wide))
         if abs(far[k]) >= LAG_S and wide[k] >= LEAST_CORRELATION and (at_edge or wide[k] > near[best] + CLEARLY):
             raise InputError(
@@ -163,7 +163,8 @@ def require_lag(
     return float(lags[best]), sensed(float(lags[best]))
 
 
-def _correlation(first: Array, second: Array) -> float:
+def correlation(first: Array, second: Array) -> float:
+    """Correlation of two series (N,), 0 where one is constant."""
     a, b = first - first.mean(), second - second.mean()
     size = math.sqrt(float((a @ a) * (b @ b)))
     return float(a @ b) / size if size > 0.0 else 0.0

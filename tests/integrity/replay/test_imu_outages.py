@@ -39,7 +39,16 @@ def _drive(length_s: float, jump_mps2: float = 0.0) -> dict[str, np.ndarray]:
     force = np.stack([np.gradient(speed, t) + G_MPS2 * np.sin(slope), speed * yaw, -G_MPS2 * np.cos(slope)], -1)
     force[:, 0] += 0.05 + jump_mps2 * (t > length_s * 2 / 3)
     rate = np.stack([0.0 * t, np.gradient(slope, t), yaw], -1) + np.deg2rad([0.3, -0.2, 0.25])
-    return {"t": t, "speed": speed, "heading": heading, "east": east, "north": north, "force": force, "rate": rate}
+    return {
+        "t": t,
+        "speed": speed,
+        "heading": heading,
+        "east": east,
+        "north": north,
+        "force": force,
+        "rate": rate,
+        "slope": slope,
+    }
 
 
 def _write(
@@ -84,7 +93,7 @@ def _solution(d: dict[str, np.ndarray]) -> list[str]:
         north, east = d["speed"][n] * np.cos(d["heading"][n]), d["speed"][n] * np.sin(d["heading"][n])
         lines.append(
             f"{when} {np.rad2deg(place[0]):.9f} {np.rad2deg(place[1]):.9f} {place[2]:.4f} 1 21 0.01 0.01 0.01 "
-            f"0 0 0 0 0 {north:.4f} {east:.4f} 0.0 0.04 0.04 0.04"
+            f"0 0 0 0 0 {north:.4f} {east:.4f} {d['speed'][n] * np.tan(d['slope'][n]):.4f} 0.04 0.04 0.04"
         )
     return lines
 
@@ -171,6 +180,8 @@ def test_outages_at_a_gap_are_left_out_and_counted(tmp_path: Path, folder: Path)
     (lambda f, w: (f, np.radians(w)), r"yaw rate of the log .* slope on it is 0\.017.* correlation 1.*in rad/s, not"),
     (lambda f, w: (f, w * [1, 1, -1]), r"yaw rate of the log .* slope on it is -\d.*: its sign is reversed"),
     (lambda f, w: (f, w[:, [2, 0, 1]]), "another axis"),
+    (lambda f, w: (f, w * [1, -1, 1]), "with one axis of the gyro or the accelerometer mirrored"),
+    (lambda f, w: (f * [-1, -1, 1], w), "with one axis of the gyro or the accelerometer mirrored"),
     (lambda f, w: (f * G_MPS2, w), r"mean force of 96.* it is probably in m/s\^2, not in g"),
     (lambda f, w: (f * [1, -1, 1], w), "with one axis of the accelerometer mirrored its correlation .* rises"),
     (lambda f, w: (f * [1, 1, -1], w), "its sign is reversed"),  # a sensor upside down has all its axes turned
