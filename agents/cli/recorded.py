@@ -372,6 +372,7 @@ def _print_filter(found: dict[str, Any]) -> None:
         for axis, c in axes.items()
     ]
     print_table("Levels", ("risk", "axis", "epochs", "above PL", "exact 95 % interval", "median PL m"), levels)
+    _print_agreement(found)
     typer.echo(f"The recording lacks: {'; '.join(found['lacking'])}.")
     typer.echo(found["caution"])
 

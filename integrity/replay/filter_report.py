@@ -27,7 +27,7 @@ from lanebound.integrity.replay.filter_drive import (
     drive_filter,
     smartloc_sensors,
 )
-from lanebound.integrity.replay.recording_checks import check_comma
+from lanebound.integrity.replay.recording_checks import check_comma, check_smartloc
 
 __all__ = ["filter_summary", "write_filter"]
 
@@ -53,13 +53,14 @@ def write_filter(
     config = FilterReplayConfig.build(None, deep_merge(named, dict(changes)))
     if kind == "smartloc":
         city = read_city(folder)
-        sensors, notes = smartloc_sensors(city, config), city.notes
+        sensors, notes, agreement = smartloc_sensors(city, config), city.notes, check_smartloc(city)
     else:
         segment = read_comma(folder)
-        check_comma(segment)
+        agreement = check_comma(segment)
         sensors, notes = comma_sensors(segment, config), segment.notes
     drive = drive_filter(sensors, config)
     found = {"dataset": "filter", "recording": kind, "navigator": navigator, "stopped": notes}
+    found["agreement"] = {name: of.figures() for name, of in agreement.items()}
     found |= filter_summary(drive, config)
     out.mkdir(parents=True, exist_ok=True)
     summary = out / "replay.json"

@@ -20,7 +20,7 @@ from lanebound.integrity.core.errors import InputError
 
 __all__ = [
     "ACCELERATION", "CLEARLY", "LAG_S", "LEAST_CORRELATION", "PITCH_RATE", "SPEED", "YAW_RATE", "Agreement", "Quantity",
-    "correlation", "likely_unit", "require_agreement", "require_lag",
+    "correlation", "likely_unit", "require_agreement", "require_lag", "require_same_times",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -34,6 +34,7 @@ LASTING_S = 1.0  # errors of a reference last as long
 SURE = 3.0  # deviations
 LIKE = 0.1  # relative, of the slope of a unit
 LAG_S, LAG_STEP_S, LONGEST_LAG_S = 0.5, 0.01, 20.0
+NEARER = 3.0  # times nearer are positions whose times are right
 SURE_CORRELATION, CLEARLY = 0.7, 0.2  # of a lag that needs no wider search, and by how much another must be better
 
 
@@ -161,6 +162,28 @@ def require_lag(
                 "in GPS time? Correct the times of one of them"
             )
     return float(lags[best]), sensed(float(lags[best]))
+
+
+def require_same_times(where: str, time_s: Array, place_m: Array, true_s: Array, true_m: Array) -> None:
+    """Raise InputError where positions (T, 3) are nearer to the reference (N, 3) at times LAG_S or more away."""
+    lags = np.arange(-LONGEST_LAG_S, LONGEST_LAG_S + 0.05, 0.1)
+
+    def away_m(lag_s: float) -> float:
+        at = time_s + lag_s
+        inside = (at >= true_s[0]) & (at <= true_s[-1])
+        if 2 * inside.sum() < time_s.size:
+            return math.inf
+        there = np.stack([np.interp(at[inside], true_s, column) for column in true_m.T], -1)
+        return float(np.median(np.linalg.norm(there - place_m[inside], axis=-1)))
+
+    now, found = away_m(0.0), np.array([away_m(float(lag)) for lag in lags])
+    k = int(np.argmin(found))
+    if abs(lags[k]) >= LAG_S and found[k] < now / NEARER and now < math.inf:
+        raise InputError(
+            f"times of {where} and of the reference must agree within {LAG_S:g} s, positions are {now:.1f} m apart and "
+            f"{found[k]:.1f} m with times {lags[k]:+.1f} s later: is one in UTC and one in GPS time? Correct the times "
+            "of one of them, or the head (out-timesys)"
+        )
 
 
 def correlation(first: Array, second: Array) -> float:

@@ -13,6 +13,7 @@ from lanebound.integrity.replay.sensor_checks import (
     Quantity,
     require_agreement,
     require_lag,
+    require_same_times,
 )
 
 TIME = np.arange(0.0, 60.0, 0.1)
@@ -107,3 +108,14 @@ def test_a_lag_beyond_the_search_is_refused_and_named(lag_s: float) -> None:
 
 def test_without_motion_there_is_no_lag() -> None:
     assert require_lag("log", 0.0 * TURNS, shifted(5.0), YAW_RATE)[0] == 0.0
+
+
+@pytest.mark.parametrize("late_s", [18.0, -18.0, 1.0])
+def test_positions_whose_times_are_off_are_refused_and_those_of_a_car_at_rest_are_not(late_s: float) -> None:
+    time = np.arange(0.0, 120.0, 0.2)
+    way = np.stack([np.cumsum(2.0 + np.sin(0.1 * time)), np.cumsum(np.cos(0.07 * time)), 0.0 * time], -1)
+    noise = 0.5 * np.random.default_rng(1).standard_normal(way.shape)
+    require_same_times("a", time, way + noise, time, way)
+    require_same_times("a", time - late_s, 0.0 * way + noise, time, 0.0 * way)
+    with pytest.raises(InputError, match=rf"times of a .* with times \{late_s:+.1f} s later: is one in UTC"):
+        require_same_times("a", time - late_s, way + noise, time, way)
