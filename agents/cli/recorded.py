@@ -293,8 +293,9 @@ def _print_outages(found: dict[str, Any]) -> None:
 def _print_agreement(found: dict[str, Any]) -> None:
     """Print how the sensors follow the reference."""
     for name, of in found.get("agreement", {}).items():
+        figures = f"slope {of['slope']:.3g}, correlation {of['correlation']:.2f}, lag {of['lag_s']:.2f} s"
         tested = "" if of["tested"] else "; the drive shows too little of it to test unit and sign"
-        typer.echo(f"{name} on the reference: slope {of['slope']:.3g}, correlation {of['correlation']:.2f}{tested}")
+        typer.echo(f"{name} on the reference: {figures}{tested}")
 
 
 def _print_service(found: dict[str, Any]) -> None:

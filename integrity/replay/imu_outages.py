@@ -136,8 +136,8 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         within = np.clip(at + lag, log.gps_time_s[0], log.gps_time_s[-1])
         return averaged(log.gps_time_s, value, within, config.rate_hz)
 
-    _, alike = require_lag("the log", turning[part], lambda lag: sensed(rates[:, 2], lag)[part], YAW_RATE)
-    turns = require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds)
+    late, alike = require_lag("the log", turning[part], lambda lag: sensed(rates[:, 2], lag)[part], YAW_RATE)
+    turns = replace(require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds), lag_s=late)
     moved = float(speed[at < log.gps_time_s[0] + config.rest_s].max(initial=0.0))
     if moved > REST_MPS:
         raise InputError(

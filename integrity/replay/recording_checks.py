@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ EVERY_S, MEAN_S = 0.1, 0.4  # epochs, and the time over which a motion is taken
 MOVING_MPS = 2.0
 AWAY_M = 100.0  # of a receiver's positions from the reference, median
 ALIKE = 0.8  # mean cosine of courses that are the same
+EARTH_M = (6.3e6, 6.5e6)  # of ground and aircraft from the centre
 GRAVITY = 0.15  # relative, of the mean force
 
 
@@ -63,8 +65,8 @@ class _Reference:
         at = self.time_s[keep]
         inside = at[(at > time_s[0] + LAG_S) & (at < time_s[-1] - LAG_S)]
         wanted = reference[np.isin(self.time_s, inside)]
-        _, sensed = require_lag(where, wanted, _means(time_s, value, inside), quantity)
-        return require_agreement(quantity, unit, where, wanted, sensed, inside.size * EVERY_S)
+        lag, sensed = require_lag(where, wanted, _means(time_s, value, inside), quantity)
+        return replace(require_agreement(quantity, unit, where, wanted, sensed, inside.size * EVERY_S), lag_s=lag)
 
 
 def _means(time_s: Array, value: Array, at_s: Array) -> Callable[[float], Array]:
@@ -87,6 +89,7 @@ def check_comma(segment: Comma) -> dict[str, Agreement]:
         One contradicts the reference by its unit, sign, axis, clock or place.
     """
     r = segment.reference
+    _require_on_earth("global_pose/frame_positions", r.position_ecef_m)
     latitude, longitude, height = geodetic_from_ecef(r.position_ecef_m[0])
     axes = ecef_from_enu_matrix(latitude, longitude)
     place, reported = ((r.position_ecef_m - r.position_ecef_m[0]) @ axes)[:, :2], (r.velocity_ecef_mps @ axes)[:, :2]
@@ -115,6 +118,16 @@ def check_comma(segment: Comma) -> dict[str, Agreement]:
     if segment.fixes is not None:
         found["receiver speed"] = _check_fixes(segment, motion, place, axes, float(height))
     return found
+
+
+def _require_on_earth(where: str, place_ecef_m: Array) -> None:
+    """Refuse positions that are no ECEF coordinates in metres."""
+    radius = float(np.median(np.linalg.norm(place_ecef_m, axis=-1)))
+    if not EARTH_M[0] < radius < EARTH_M[1]:
+        raise InputError(
+            f"{where} must be ECEF positions in m, some 6.4e6 from the Earth's centre, got {radius:.4g}: convert them "
+            "(from km, or from latitude and longitude)"
+        )
 
 
 def _require_gravity(force_mps2: Array) -> None:
@@ -195,6 +208,7 @@ def check_smartloc(drive: SmartLoc) -> dict[str, Agreement]:
     o, truth = drive.odometry, drive.truth
     if truth is None or truth.time_s.size < 3 or o.time_s.size < 3:
         return {}
+    _require_on_earth("point3", truth.position_ecef_m)
     axes = ecef_from_enu_matrix(*geodetic_from_ecef(truth.position_ecef_m[0])[:2])
     motion = _Reference(truth.time_s, ((truth.position_ecef_m - truth.position_ecef_m[0]) @ axes)[:, :2])
     clear = ~drive.bridged(motion.time_s) & truth.at(motion.time_s)[1]

@@ -32,6 +32,7 @@ SLOPES = (
 LEAST_CORRELATION = 0.5  # of a sensor that follows a motion
 LASTING_S = 1.0  # errors of a reference last as long
 SURE = 3.0  # deviations
+LEAST_DEAD = 100  # equal values of a sensor without a signal
 LIKE = 0.1  # relative, of the slope of a unit
 LAG_S, LAG_STEP_S, LONGEST_LAG_S = 0.5, 0.01, 20.0
 NEARER = 3.0  # times nearer are positions whose times are right
@@ -67,11 +68,13 @@ ACCELERATION = Quantity(
 
 @dataclass(frozen=True)
 class Agreement:
-    """Slope of sensed on reference, their correlation, and whether the motion was strong enough to prove anything."""
+    """Slope of sensed on reference, their correlation, whether the motion was strong enough to prove anything, and the
+    lag behind the reference at which they were compared [s]."""
 
     slope: float
     correlation: float
     tested: bool
+    lag_s: float = 0.0
 
     def figures(self) -> dict[str, Any]:
         """As JSON data."""
@@ -103,7 +106,8 @@ def require_agreement(
     follows = fit2 >= LEAST_CORRELATION**2
     low, high = max(abs(slope) - SURE * spread, 0.0), (abs(slope) + SURE * spread) / max(fit2, 1e-9)
     wrong = slope < 0.0 or low > SLOPES[1] or high < SLOPES[0]
-    if (follows and wrong) or (strong and not follows):
+    dead = quantity.biased and ss == 0.0 and reference.size >= LEAST_DEAD  # even at rest a gyro has noise
+    if (follows and wrong) or (strong and not follows) or dead:
         raise InputError(
             f"{quantity.name} of {where} must follow the reference, the slope on it is {slope:.3g} and the correlation "
             f"{alike:.2f}: {_likely(quantity, unit, slope, (low, high), follows)}"

@@ -117,6 +117,14 @@ def test_fixes_in_radians_or_exchanged_are_named() -> None:
             check_comma(changed(sane, "fixes", **new))
 
 
+def test_a_reference_in_kilometres_and_a_gyro_that_is_always_0_are_named() -> None:
+    sane = segment()
+    with pytest.raises(InputError, match=r"global_pose/frame_positions must be ECEF positions in m, .*, got 63\d\d"):
+        check_comma(changed(sane, "reference", position_ecef_m=1e-3 * sane.reference.position_ecef_m))
+    with pytest.raises(InputError, match="a sensor without a signal"):
+        check_comma(changed(sane, "rotation_rate", value=0.0 * sane.rotation_rate.value))
+
+
 def test_a_sensor_that_is_a_second_late_is_refused() -> None:
     sane = segment()
     for name in ("speed", "rotation_rate"):
@@ -189,6 +197,9 @@ def test_wheels_and_gyro_of_a_smartloc_drive(new, message: str) -> None:
     with pytest.raises(InputError, match=message):
         check_smartloc(replace(sane, odometry=replace(sane.odometry, **values)))
     assert check_smartloc(replace(sane, truth=None)) == {}
+    assert sane.truth is not None
+    with pytest.raises(InputError, match=r"point3 must be ECEF positions in m, .*, got 63\d\d"):
+        check_smartloc(replace(sane, truth=replace(sane.truth, position_ecef_m=1e-3 * sane.truth.position_ecef_m)))
 
 
 def test_rows_of_a_drive_that_go_back_are_counted(tmp_path: Path) -> None:

@@ -119,3 +119,8 @@ def test_positions_whose_times_are_off_are_refused_and_those_of_a_car_at_rest_ar
     require_same_times("a", time - late_s, 0.0 * way + noise, time, 0.0 * way)
     with pytest.raises(InputError, match=rf"times of a .* with times \{late_s:+.1f} s later: is one in UTC"):
         require_same_times("a", time - late_s, way + noise, time, way)
+
+
+def test_a_sensor_with_the_same_value_throughout_is_dead_even_on_a_straight_drive() -> None:
+    with pytest.raises(InputError, match="a sensor without a signal"):
+        require_agreement(YAW_RATE, "rad/s", "log", 1e-4 * TURNS, 0.0 * TURNS + 0.01, 60.0)
