@@ -42,8 +42,8 @@ class Timing:
     def note(self) -> str:
         """What a user should know, "" for nothing."""
         late = f"{self.left_out} of {self.rows} rows left out that are not later than one before" * bool(self.left_out)
-        length = np.diff(self.gaps_s, axis=1)
-        gaps = f"{len(length)} gaps, the longest of {length.max(initial=0.0):.2f} s" * bool(len(length))
+        count, longest = len(self.gaps_s), np.diff(self.gaps_s, axis=1).max(initial=0.0)
+        gaps = f"{count} gap{'s' * (count > 1)}, the longest of {longest:.2f} s" * bool(count)
         return "; ".join(text for text in (late, gaps) if text)
 
     def bridged(self, time_s: Array, before_s: float = 0.0, after_s: float = 0.0) -> Bools:

@@ -65,7 +65,7 @@ def test_gaps_are_counted_by_the_rate_of_the_series(rate_hz: float, step_s: floa
     assert timing.bridged(np.array([0.5 * (time[49] + time[50])]))[0] == bool(gaps)
     assert timing.bridged(time).sum() == 0  # the rows beside a gap are recorded
     assert timing.bridged(time, 0.01 + 1.0 / rate_hz, 0.01 + 1.0 / rate_hz).sum() == 4 * gaps
-    assert ("gaps, the longest of" in timing.note) == bool(gaps)
+    assert ("1 gap, the longest of" in timing.note) == bool(gaps)
 
 
 def test_notes_are_of_what_has_any() -> None:

@@ -172,7 +172,7 @@ def test_outages_at_a_gap_are_left_out_and_counted(tmp_path: Path, folder: Path)
     touching = (start + config.longest_s > 120.0) & (start - config.settle_s < 130.0)
     assert found["outages"] + found["left_out_at_gaps"] == whole.start_s.size
     assert touching.sum() <= found["left_out_at_gaps"] <= touching.sum() + 2  # the lag widens the gap
-    assert found["stopped"] == {"imu_1834.csv": "1 gaps, the longest of 10.00 s"}
+    assert found["stopped"] == {"imu_1834.csv": "1 gap, the longest of 10.00 s"}
     assert [found["all_ages"][axis]["exceeded"] for axis in ("at", "ct")] == [0, 0]
 
 

@@ -157,9 +157,9 @@ def test_outages_at_a_gap_are_left_out_and_counted(tmp_path: Path) -> None:
     touching = (whole.start_s > 20.0 - 0.11) & (whole.start_s < 36.0 + 0.11)
     assert found["left_out_at_gaps"] == touching.sum()
     assert found["outages"] == whole.start_s.size - touching.sum()
-    assert found["stopped"] == {"CAN/speed/t": "1 gaps, the longest of 6.03 s"}
+    assert found["stopped"] == {"CAN/speed/t": "1 gap, the longest of 6.03 s"}
     assert [found["all_ages"][axis]["exceeded"] for axis in ("at", "ct")] == [0, 0]
-    with pytest.raises(InputError, match=r"first 35 s must be without gaps, 1 gaps, the longest of 6.03 s"):
+    with pytest.raises(InputError, match=r"first 35 s must be without gaps, 1 gap, the longest of 6.03 s"):
         write_outages(tmp_path / "holed", tmp_path / "out", config.replace(calibration_s=35.0))
 
 
@@ -168,7 +168,7 @@ def test_a_jump_of_half_a_second_is_told_and_a_clock_that_is_set_back_refused(tm
     time = sane.rotation_rate.time_s
     jumped = changed(sane, "rotation_rate", time_s=time + 0.5 * (time > 57.0))
     found, _ = write_outages(_saved(tmp_path / "jump", jumped), tmp_path / "out", config)
-    assert found["stopped"] == {"IMU/gyro/t": "1 gaps, the longest of 0.51 s"}
+    assert found["stopped"] == {"IMU/gyro/t": "1 gap, the longest of 0.51 s"}
     back = changed(sane, "speed", time_s=sane.speed.time_s - 5.0037 * (sane.speed.time_s > 57.0))
     with pytest.raises(InputError, match=r"CAN/speed/t must have times that increase, 2\d\d of 4800 rows go back"):
         read_comma(_saved(tmp_path / "back", back))
@@ -212,6 +212,6 @@ def test_rows_of_a_drive_that_go_back_are_counted(tmp_path: Path) -> None:
     found = read_smartloc(path)
     assert found.odometry.time_s.size == 34
     assert found.notes == {
-        "odom3": "1 of 35 rows left out that are not later than one before; 1 gaps, the longest of 1.40 s"
+        "odom3": "1 of 35 rows left out that are not later than one before; 1 gap, the longest of 1.40 s"
     }
     assert found.bridged(np.array([5.5, 6.5]), after_s=0.1).tolist() == [False, True]

@@ -126,7 +126,7 @@ def test_a_static_log_in_other_clothes_and_its_times(tmp_path):
         assert (list(columns), note) == (["a"], "")
     found, columns, note = written(np.concatenate([time[:100], time[50:52], time[130:]]))
     assert columns["a"].size == found.size == 2970
-    assert note == "2 of 2972 rows left out that are not later than one before; 1 gaps, the longest of 3.10 s"
+    assert note == "2 of 2972 rows left out that are not later than one before; 1 gap, the longest of 3.10 s"
     with pytest.raises(InputError, match="must have times that increase, 2999 of 3000 rows go back"):
         written(time[::-1])
     with pytest.raises(InputError, match="must have its times in s, they are 100 apart: are they in ms"):
