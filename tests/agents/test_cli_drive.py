@@ -128,7 +128,7 @@ def test_mistakes_are_answered_in_one_line(arguments, message):
         ("raises", "ValueError: no idea what to do \\(bad_agents.py:\\d+\\), at seed 4, step 3", 2),
         ("leaves", "SystemExit: 3 \\(bad_agents.py:\\d+\\), at seed 4, step 3", 2),
         ("unmade", "RuntimeError: could not be made \\(bad_agents.py:\\d+\\)", 1),
-        ("short", "action must be numbers of shape \\(2,\\), got array.*, at seed 4, step 3", 0),
+        ("short", "action must be float32 numbers of shape \\(2,\\), got array.*, at seed 4, step 3", 0),
     ],
 )
 def test_an_agent_that_fails_is_told_by_its_own_frames_and_one_line(maker, line, frames):
