@@ -30,9 +30,7 @@ from lanebound.integrity.core.presets import deep_merge, nearest
 
 __all__ = ["checked_command", "guard", "make_world", "within_rounding", "world_defaults"]
 
-ROUNDING_ULP = (
-    16  # of the larger bound; a scale and an offset in float32 round by 1 or 2, or by 15 on a narrow range
-)
+ROUNDING_ULP = 16  # of the larger bound; a scale and an offset in float32 round by 1 or 2, or by 15 on a narrow range
 NOTHING = {"type": "AttributesObservation", "attributes": []}
 RESERVED = ("observation", "action", "simulation_frequency", "policy_frequency", "manual_control")
 DIRECT = "ContinuousAction"
