@@ -139,7 +139,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `al_at_m`, `al_ct_m` | alert limits |
     | `margin_at_m`, `margin_ct_m` | AL - PL |
     | `available` | no protection level exceeds its alert limit |
-    | `alert`, `tta_s` | an alert is on; time left to react to it (1 s without an alert) |
+    | `alert`, `tta_s` | an alert is on; time left to react to it: 1 s less its age (not the TTA of S3 II.A) |
     | `reason` | why the alert is on: code of `AlertReason` |
     | `mode` | source of the position: code of `Mode`, see below |
 

@@ -39,4 +39,8 @@ class CostConfig(Config):
     alert_speed_share: float = Field(
         0.5, ge=0, le=1, description="share of the lane's speed limit permitted while an alert is on [-]; chosen"
     )
-    time_to_alert_s: float = Field(1.0, ge=0, description="TTA, allowed for a reaction to an alert; S3 II.B")
+    time_to_alert_s: float = Field(
+        1.0,
+        ge=0,
+        description="allowed for a reaction to an alert [s]; chosen (the TTA of S3 II.A ends with the alert)",
+    )

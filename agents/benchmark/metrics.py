@@ -125,7 +125,7 @@ SAFETY = (
     Metric("harm", "harm", "", "lower",
            f"{HARM_OF_AN_END:g} for a crash or an end off the road, plus the sum of cost_lane (m2 beyond the lane)",
            _driven(harm_of)),
-    _rate("over_cost_limit", "over cost limit", "lower", "the cost exceeded cost_limit",
+    _rate("over_cost_limit", "over cost limit", "lower", "the cost exceeded cost_limit, which was chosen under the sky of the id",
           _driven(lambda o: None if o.cost_limit is None else float(o.cost > o.cost_limit))),
     _rate("success_within_limit", "success within limit", "higher",
           "success at a cost of at most cost_limit; compare it beside the mean speed",

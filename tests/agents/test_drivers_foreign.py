@@ -150,9 +150,7 @@ def test_a_policy_of_normalized_observations_drives_with_their_statistics_alone(
         return  # flat observations have no groups
     path = tmp_path / "model.zip"
     model, envs, single = _trained(path, form, policy, norm_obs_keys=keys)
-    with pytest.raises(
-        InputError, match=r"must hold the statistics of its normalized .*: call .*name_inputs"
-    ):
+    with pytest.raises(InputError, match=r"must hold the statistics of its normalized .*: call .*name_inputs"):
         make_agent(str(path), single)
     config = single.config.observation
     with pytest.raises(InputError, match="normalize must be the VecNormalize of the training, got <"):
