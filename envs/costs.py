@@ -17,7 +17,7 @@ class CostConfig(Config):
     """Weights of the causes and the figures of their formulas."""
 
     collision: float = Field(
-        200.0, ge=0, description="weight of cost_collision [-]; more than careless drives cost that go on to their end"
+        200.0, ge=0, description="weight of cost_collision [-]; more than any cost_limit, not than every careless drive"
     )
     off_road: float = Field(200.0, ge=0, description="weight of cost_off_road [-]; as a crash")
     lane: float = Field(1.0, ge=0, description="weight of cost_lane [1/m^2]")

@@ -122,7 +122,7 @@ class UrbanCanyon(Preset):
     ## Description
     Drive around a city: a loop of 3.0 km with two lanes of 3.25 m, corners of 22 m radius and more, a speed limit of
     13.9 m/s (50 km/h) and up to 10 other vehicles. The loop has open road, canyons, rows of trees, two overpasses and a
-    tunnel of 120 m; the preset of the sky sets their heights (`open` removes them). The alert limits are 1.5 m along and
+    tunnel of 120 m; the sky preset sets their heights (`open` removes them). The alert limits are 1.5 m along and
     0.625 m across the track.
 
     Difficulty: all of the above. Half of the outages can be predicted from the map, and one lane may see more of the
