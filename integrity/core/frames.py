@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "GRAVITY_MPS2",
-    "ROUNDING_M",
     "WGS84_A_M",
     "WGS84_E2",
     "ecef_from_enu_matrix",
@@ -26,7 +25,6 @@ Array = NDArray[np.float64]
 Angle = TypeVar("Angle", float, NDArray[np.float64])
 
 GRAVITY_MPS2 = 9.80665  # ISO 80000-3, standard gravity
-ROUNDING_M = 1e-9  # an error that equals its level is not beyond it; differences of coordinates round by 1e-12 m
 WGS84_A_M = 6378137.0  # NIMA TR8350.2, table 3.1
 WGS84_F = 1.0 / 298.257223563  # NIMA TR8350.2, table 3.1
 WGS84_E2 = WGS84_F * (2.0 - WGS84_F)
