@@ -33,7 +33,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3, multiply_3
 from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, SEARCH_FAILED, TOO_FEW
-from lanebound.integrity.positioning.float_filter_kernel import FilterRow, filtered_ambiguities, find_searchable
+from lanebound.integrity.positioning.float_filter_kernel import Filters, filtered_ambiguities, find_searchable
 from lanebound.integrity.positioning.lambda_kernel import (
     OK,
     SearchScratch,
@@ -44,7 +44,7 @@ from lanebound.integrity.positioning.lambda_kernel import (
 )
 from lanebound.integrity.positioning.posterior_kernel import others_probability
 from lanebound.integrity.positioning.ratio_kernel import minimum_ratio
-from lanebound.integrity.positioning.rows_kernel import row_scratch
+from lanebound.integrity.positioning.rows_kernel import ROW
 from lanebound.integrity.positioning.rtk_kernel import (
     BASE,
     Carriers,
@@ -78,7 +78,7 @@ class FloatSource(NamedTuple):
     x: Array
     q: Array
     base: Records
-    own: FilterRow
+    own: Filters
     filtered: bool
 
 
@@ -107,15 +107,17 @@ def add_held(carriers: Carriers, ambiguities: Records, rules: Any, x: Array, q: 
     """Complete the position of the code with the held phases in place, by adding normal matrices; False: singular."""
     if not any_held(ambiguities):
         return True
-    normal, rhs, group = np.empty((3, 3)), np.empty(3), np.empty(ambiguities.shape[0], dtype=np.int64)
+    normal, rhs, rows = np.empty((3, 3)), np.empty(3), np.empty(ambiguities.shape[0], ROW)
     if not invert_3x3(q, normal):
         return False
     multiply_3(normal, x, rhs)
-    rows = row_scratch(carriers.los, group)
-    collapse_phase(carriers, ambiguities, rules.bands, rows.y)
-    for s in range(group.shape[0]):
-        group[s], rows.used[s] = carriers.satellites[s].system, ambiguities[s].held
-        rows.variance[s] = carriers.variance[s] / rules.bands
+    collapse_phase(carriers, ambiguities, rules.bands, rows)
+    for s in range(rows.shape[0]):
+        row = rows[s]
+        row.group, row.used = carriers.satellites[s].system, ambiguities[s].held
+        row.variance = carriers.variance[s] / rules.bands
+        for k in range(3):
+            row.e[k] = carriers.signals[s].e[k]
     add_layer(rows, normal, rhs)
     if not invert_3x3(normal, q):
         return False
@@ -223,7 +225,7 @@ def accept(
     return (RATIO_FAILED if norms[1] < rules.ratio_min * norms[0] else FIXED), failure
 
 
-@jit(borrows=True)
+@jit
 def largest_rate(limit: float) -> float:
     """Largest failure rate with which the probability of other vectors is searched: ``erfc(sqrt(-ln(limit)) / 2)``.
 
@@ -342,7 +344,7 @@ def attempt(
 
 @jit
 def resolve(
-    carriers: Carriers, candidate: Bools, ambiguities: Records, rules: Any, x: Array, q: Array, own: FilterRow,
+    carriers: Carriers, candidate: Bools, ambiguities: Records, rules: Any, x: Array, q: Array, own: Filters,
     filtered: bool, next_id: int,
 ) -> tuple[int, float]:  # fmt: skip
     """Fix the ambiguities of as many candidate satellites as the risk allows, and hold them.
