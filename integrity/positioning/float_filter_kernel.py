@@ -108,8 +108,10 @@ MEASUREMENT = record(
 
 
 @jit
-def filter_of(filters: Filters, v: int) -> Filters:
-    """The filter of vehicle v."""
+def filter_of(filters: Filters | None, v: int) -> Filters | None:
+    """The filter of vehicle v; None where floats come from single epochs."""
+    if filters is None:
+        return None
     return Filters(filters.slots[v], filters.normal[v], filters.rhs[v], filters.spread[v], filters.memory[v])
 
 

@@ -103,7 +103,7 @@ class RtkStages:
         """Release all integers and forget all float ambiguities."""
         epoch = self._epoch
         epoch.ambiguities["held"] = False
-        for array in (epoch.vehicles["filter"], *arrays_of(epoch.filters)):
+        for array in (epoch.vehicles["filter"], *arrays_of((epoch.filters,))):
             array[:] = np.zeros((), array.dtype)
 
     def step(

@@ -6,18 +6,24 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lanebound.integrity.navigators.rtk_reckoning import epoch_kernel as kernels
+from lanebound.integrity.navigators.rtk_reckoning.drift_stage_kernel import watch_drift
 from lanebound.integrity.navigators.rtk_reckoning.float_stage_kernel import add_to_filter
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.rtk_reckoning.stages import Point, SeparateStage, Stage
+from lanebound.integrity.navigators.rtk_reckoning.wrong_stage_kernel import make_integers_wrong
 
 if TYPE_CHECKING:
     from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
     from lanebound.integrity.navigators.services.stage import ServiceSet
 
-__all__ = ["STAGES", "EpochStages", "Part", "carrier_stages"]
+__all__ = ["STAGES", "EpochCall", "EpochStages", "Part", "carrier_stages"]
 
 MODES = "modes"
 """Place of the positioning modes in the table: those that the configuration names, in its order."""
+
+
+NOT_PLAIN = {"floats", "drift", "wrong integers"}
+"""Parts that :func:`~.epoch_kernel.locate` does without: they are for configurations and faults that ask for them."""
 
 
 class Part(NamedTuple):
@@ -39,6 +45,7 @@ STAGES: tuple[Part | Point | str, ...] = (
     Part("carriers", "rtk", "phases, lock, C/N0", "marks, ambiguities.held", kernels.follow_carriers),
     Part("floats", "rtk, sequential", "codes, phases", "filters", add_to_filter),
     Part("integers", "rtk", "codes, phases, filters", "ambiguities, fixed.status", kernels.resolve_integers),
+    Part("wrong integers", "rtk, fault", "next_best", "integer_error", make_integers_wrong),
     Part("fix", "rtk", "held phases", "fixed, fixed_levels", kernels.find_fixed_position),
     Point.FIX,
     Point.ESTIMATED,
@@ -50,7 +57,7 @@ STAGES: tuple[Part | Point | str, ...] = (
     Point.MOVED,
     Part("levels", "bound", "growth, faults, starts", "levels", kernels.find_levels),
     Point.OFFERED,
-    Part("drift", "monitor", "fixed, path", "drift, anchors, jump", kernels.watch_drift),
+    Part("drift", "monitor", "fixed, path", "drift, anchors, jump", watch_drift),
     Part("jump", "monitor", "fixed, levels, backup", "accepted", kernels.judge_fix),
     Part("heading doubt", "monitor", "fixed, both paths", "doubt, heading", kernels.judge_histories),
     Point.JUDGED,
@@ -64,44 +71,60 @@ STAGES: tuple[Part | Point | str, ...] = (
 
 
 class EpochStages:
-    """The stages of a configuration as one callable: ``stages(first, last, epoch, states)``.
+    """The stages of a configuration, as callables ``stages(first, last, epoch, states)``; states (B,) by name.
 
-    The plain configuration is one compiled function. With services, or with modes or monitors from outside, the stages
-    are called one after another from Python. states (B,) of records by name.
+    The plain configuration is one compiled function. With services, with modes or monitors from outside, with a drift
+    watch or a filter of float ambiguities, the stages are called one after another from Python.
     """
 
     def __init__(self, config: RtkReckoningConfig, services: ServiceSet) -> None:
+        rtk, modes = config.positioning.rtk, [mode.stage for mode in config.chosen_modes]
         at = {point: list(services.stages.get(point, ())) for point in Point}
         for monitor in config.chosen_monitors:
             for point, stage in monitor.stages.items():
                 at[point].append(stage)
-        modes = tuple(mode.stage for mode in config.chosen_modes)
-        left_out = set() if config.positioning.rtk.float_solution.kind == "sequential" else {"floats"}
+        left_out = set() if rtk.float_solution.kind == "sequential" else {"floats"}
+        left_out |= set() if rtk.drift.anchors else {"drift"}
         if not services.with_rtk:
             left_out |= {part.name for part in STAGES if isinstance(part, Part) and "rtk" in part.kind}
             at[Point.FIX].clear()
-        plain = modes == (kernels.advance_doppler, kernels.advance_imu_odometer) and not any(at.values())
-        self._stages: list[Any] = []
-        if plain and left_out == {"floats"}:
-            self._stages.append(kernels.locate)
-            return
-        for part in STAGES:
-            if isinstance(part, Point):
-                self._stages += at[part]
-            elif part == MODES:
-                self._stages += modes
-            elif isinstance(part, Part) and part.name not in left_out:
-                self._stages.append(part.stage)
+        self._every = _listed(at, modes, left_out)
+        self._faultless = _listed(at, modes, left_out | {"wrong integers"})
+        if self._faultless == _listed({}, [kernels.advance_doppler, kernels.advance_imu_odometer], NOT_PLAIN):
+            self._faultless = [kernels.locate]
+
+    def for_epoch(self, epoch: Epoch) -> EpochCall:
+        """The stages of an epoch; integers are made wrong only where a fault asks for it."""
+        return EpochCall(self._every if epoch.observed["next_best"].any() else self._faultless)
+
+
+class EpochCall(NamedTuple):
+    """Stages that are called one after another."""
+
+    stages: list[Any]
 
     def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
-        for stage in self._stages:
+        for stage in self.stages:
             if isinstance(stage, SeparateStage):
                 stage(first, last, epoch, states)
             else:
                 stage(first, last, epoch)
 
 
+def _listed(at: Mapping[Point, list[Any]], modes: list[Any], left_out: set[str]) -> list[Any]:
+    """The stages of the table in their order, with those that attach ``at`` its points and without some."""
+    found: list[Any] = []
+    for part in STAGES:
+        if isinstance(part, Point):
+            found += at.get(part, [])
+        elif part == MODES:
+            found += modes
+        elif isinstance(part, Part) and part.name not in left_out:
+            found.append(part.stage)
+    return found
+
+
 def carrier_stages(sequential: bool) -> list[Stage]:
     """The stages that follow carriers, resolve their integers and find the position by RTK."""
-    left_out = "" if sequential else "floats"
-    return [p.stage for p in STAGES if isinstance(p, Part) and "rtk" in p.kind and p.name != left_out]
+    left_out = {"wrong integers"} if sequential else {"wrong integers", "floats"}
+    return [p.stage for p in STAGES if isinstance(p, Part) and "rtk" in p.kind and p.name not in left_out]

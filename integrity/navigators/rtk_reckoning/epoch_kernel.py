@@ -5,7 +5,6 @@ from __future__ import annotations
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import find_attitude
 from lanebound.integrity.navigators.rtk_reckoning.doubt_stage_kernel import follow_histories, judge_histories
-from lanebound.integrity.navigators.rtk_reckoning.drift_stage_kernel import watch_drift
 from lanebound.integrity.navigators.rtk_reckoning.extension_kernel import begin
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import find_levels
@@ -33,7 +32,7 @@ __all__ = ["locate"]
 def locate(first: int, last: int, epoch: Epoch) -> None:
     """Locate the vehicles ``first`` to ``last - 1``.
 
-    The same stages in the same order as in the table of :mod:`.stages`, for configurations without stages from outside.
+    The stages of the table in :mod:`.epoch`, for configurations to which nothing is added.
     """
     begin(first, last, epoch)
     find_velocity(first, last, epoch)
@@ -48,7 +47,6 @@ def locate(first: int, last: int, epoch: Epoch) -> None:
     watch_speeds(first, last, epoch)
     follow_histories(first, last, epoch)
     find_levels(first, last, epoch)
-    watch_drift(first, last, epoch)
     judge_fix(first, last, epoch)
     judge_histories(first, last, epoch)
     take_fix(first, last, epoch)

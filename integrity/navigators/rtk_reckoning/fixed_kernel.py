@@ -63,7 +63,6 @@ from lanebound.integrity.positioning.rtk_kernel import (
     held_risk,
     range_of,
 )
-from lanebound.integrity.positioning.wrong_fix_kernel import next_best_integers
 
 __all__ = ["find_fixed_position"]
 
@@ -73,7 +72,7 @@ class FixedScratch(NamedTuple):
 
     geo, moments, modes of its levels; los (W, 3), group (W,); variance for integrity, bias bound, measurement,
     variance for accuracy and odds of a fault (W,) of the satellites in it; sets (D, LARGEST_SET) of them to monitor;
-    wrong (S, 2) errors of the integers [cycles]; tried, air (W,) of all satellites: in use before the test, variance of
+    tried, air (W,) of all satellites: in use before the test, variance of
     what the bands have in common [m^2]; position (3,) and covariance (3, 3) of the test; risk (1,), budget (1, 2) and
     level (1, 2) of a case.
     """
@@ -89,7 +88,6 @@ class FixedScratch(NamedTuple):
     accuracy: Array
     odds: Array
     sets: Ints
-    wrong: Ints
     tried: Bools
     air: Array
     position: Array
@@ -106,7 +104,6 @@ def fixed_scratch(n: int, sets: int) -> FixedScratch:
     return FixedScratch(
         geometry_scratch(n), moment_scratch(n), mode_scratch(n, sets), np.zeros((w, 3)), np.zeros(w, dtype=np.int64),
         np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros((sets, LARGEST_SET), dtype=np.int64),
-        np.zeros((n, 2), dtype=np.int64),
         np.zeros(w, dtype=np.bool_), np.zeros(w), np.zeros(3), np.zeros((3, 3)), np.zeros(1), np.zeros((1, 2)),
         np.zeros((1, 2)),
     )  # fmt: skip
@@ -131,7 +128,6 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
             fixed.satellites, positioned = find_members(ambiguities, marks, satellites, rules, rows)
             if positioned:
                 fixed.coded = False  # its position gives way to that of the phases
-                _find_wrong(carriers, rows, epoch.observed[v].next_best, rules, scratch.wrong)
                 _solve_fixed(carriers, rows, ambiguities, epoch.observed[v].age, tables, par, vehicle, w, scratch)
             elif fixed.status == FIXED:
                 fixed.status = TOO_FEW
@@ -149,23 +145,13 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
 
 
 @jit
-def _find_wrong(carriers: Carriers, rows: Records, candidate: Any, rules: Any, wrong: Ints) -> None:
-    """Fill the errors of the integers (S, 2) by a fault: those given, and those of a candidate (rank, azimuth)."""
-    if not (candidate[0] > 0.0 and next_best_integers(carriers, rows, int(candidate[0]), candidate[1], rules, wrong)):
-        wrong[:] = 0
-    for s in range(wrong.shape[0]):
-        for b in range(2):
-            wrong[s, b] += carriers.signals[s].integer_error[b]
-
-
-@jit
 def _solve_fixed(
     carriers: Carriers, rows: Records, ambiguities: Records, age: float, tables: Tables, par: Any, vehicle: Any,
     w: Any, scratch: FixedScratch,
 ) -> None:  # fmt: skip
     """Test the rows in use, release the integers of what is excluded, and solve with the rest.
 
-    ``carriers.variance`` holds the variance factors, ``scratch.wrong`` the fault of the integers.
+    ``carriers.variance`` holds the variance factors.
     """
     rules, rtk, fixed, factor, n_sat = par.rtk, vehicle.rtk, w.fixed, carriers.variance, rows.shape[0]
     tried, air = scratch.tried, scratch.air
@@ -174,7 +160,7 @@ def _solve_fixed(
     for s in range(n_sat):
         row = rows[s]
         tried[s] = row.used
-        row.y -= range_of(scratch.wrong[s], carriers.satellites[s], rules.bands)
+        row.y -= range_of(carriers.signals[s].integer_error, carriers.satellites[s], rules.bands)
         air[s] = aged + atmosphere_variance(row.e[2], carriers.satellites[s], rules)
         row.variance = factor[s] * (rules.sigma_phase**2 / rules.bands) + air[s]
     outcome, _, _, _, fixed.excluded = detect_and_exclude(

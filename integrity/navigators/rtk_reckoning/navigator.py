@@ -111,7 +111,8 @@ class RtkReckoningNavigator(Navigator):
         m = with_finite(m)
         epoch, states = self._epoch_of(self.state.belief), self._services.with_inputs(m, self.state.extensions)
         observe(m, epoch.signals, epoch.observed)
-        run_rows(self._stages, self.batch, epoch, states, row_us=LOCATE_US)
+        stages = self._stages.for_epoch(epoch)
+        run_rows(stages, self.batch, epoch, states, row_us=LOCATE_US)
         return solution_of(m, epoch)
 
     def _epoch_of(self, belief: State) -> Epoch:
@@ -136,13 +137,15 @@ def blank_state(batch: int, satellites: int, modes: int, cases: int, rtk: RtkCon
     )  # fmt: skip
 
 
-def blank_filters(batch: int, rtk: RtkConfig, stands: bool = False) -> Filters:
-    """Filters of float ambiguities that know nothing; without a slot where floats come from single epochs.
+def blank_filters(batch: int, rtk: RtkConfig, stands: bool = False) -> Filters | None:
+    """Filters of float ambiguities that know nothing; None where floats come from single epochs.
 
     ``stands``: the receivers do not move, and their position is a state of the filter.
     """
-    slots = rtk.max_candidates if rtk.float_solution.kind == "sequential" else 0
-    n = STATES * slots + (4 if stands and slots else 1)
+    if rtk.float_solution.kind != "sequential":
+        return None
+    slots = rtk.max_candidates
+    n = STATES * slots + (4 if stands else 1)
     return Filters(
         np.zeros((batch, slots), SLOT), np.zeros((batch, n, n)), np.zeros((batch, n)), np.zeros((batch, n, n)),
         np.zeros((batch, MEASURED * slots, n)),
@@ -154,7 +157,7 @@ def arrays_of(values: tuple[Any, ...]) -> Iterator[NDArray[Any]]:
     for value in values:
         if isinstance(value, np.ndarray):
             yield value
-        else:
+        elif value is not None:
             yield from arrays_of(value)
 
 

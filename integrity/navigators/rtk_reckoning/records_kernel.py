@@ -206,7 +206,8 @@ class State(NamedTuple):
     """What lasts of B vehicles.
 
     vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; faults (B, M) of FAULT; starts (B, 2, R) of START, for
-    LATEST and BACKUP; anchors (B, A) of ANCHOR, of the drift watch; filters of the float ambiguities.
+    LATEST and BACKUP; anchors (B, A) of ANCHOR, of the drift watch; filters of the float ambiguities, None where
+    they come from single epochs.
     """
 
     vehicles: Records
@@ -214,7 +215,7 @@ class State(NamedTuple):
     faults: Records
     starts: Records
     anchors: Records
-    filters: Filters
+    filters: Filters | None
 
 
 # Work and outputs
@@ -332,7 +333,7 @@ class Epoch(NamedTuple):
     faults: Records
     starts: Records
     anchors: Records
-    filters: Filters
+    filters: Filters | None
     signals: Records
     observed: Records
     work: Records

@@ -111,10 +111,10 @@ def find_code_position(
     return bool(outcome <= EXCLUDED)
 
 
-@jit
+@jit(inline=True)
 def _resolve(
     carriers: Carriers, rows: Records, marks: Records, tests: tuple[Thresholds, Any, Any], age: float,
-    candidate: Bools, ambiguities: Records, fixed: Any, q: Any, own: Filters, filtered: bool,
+    candidate: Bools, ambiguities: Records, fixed: Any, q: Any, own: Filters | None, filtered: bool,
 ) -> int:  # fmt: skip
     """Fix what the risk allows, from the codes of this epoch or, if ``filtered``, from the filter; returns a status.
 
@@ -127,23 +127,24 @@ def _resolve(
         carriers.variance[s] = marks[s].factor * rules.sigma_phase**2 + aged
     rtk.fixes += 1
     fixed.searched = np.count_nonzero(candidate)
-    if rules.reflections.sets == 0:
-        status, rate = resolve(carriers, candidate, ambiguities, rules, fixed.position, q, own, filtered, rtk.fixes)
-        fixed.failure = rate
-        return int(status)
     before = ambiguities.copy()
     status, rate = resolve(carriers, candidate, ambiguities, rules, fixed.position, q, own, filtered, rtk.fixes)
     fixed.failure = rate
-    if status == FIXED and not _confirm(carriers, rows, marks, tests, candidate, before, ambiguities, own):
+    monitored = rules.reflections.sets > 0
+    if (
+        monitored
+        and status == FIXED
+        and not _confirm(carriers, rows, marks, tests, candidate, before, ambiguities, own)
+    ):
         ambiguities[:] = before
         return RATIO_FAILED
     return int(status)
 
 
-@jit
+@jit(inline=True)
 def _confirm(
     carriers: Carriers, rows: Records, marks: Records, tests: tuple[Thresholds, Any, Any], candidate: Bools,
-    before: Records, ambiguities: Records, own: Filters,
+    before: Records, ambiguities: Records, own: Filters | None,
 ) -> bool:  # fmt: skip
     """Whether no doubtful carrier, and no set of them, is needed for the integers that are new since ``before``.
 
