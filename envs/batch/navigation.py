@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.batch import rows_kernel as rk
-from lanebound.envs.batch.belief_kernel import Fixes
+from lanebound.envs.batch.belief_kernel import FIX
 from lanebound.envs.batch.lanes_kernel import Lanes
 from lanebound.envs.batch.motion_kernel import MOTION, TruthRows, Whereabouts, begin_motion, fill_motion
 from lanebound.envs.batch.records_kernel import Cars
@@ -41,7 +41,7 @@ Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 OF_CONTEXT = ContextReport._fields[:4]
-OF_SOLUTION = tuple(name for name in Fixes._fields if name not in OF_CONTEXT)
+OF_SOLUTION = tuple(name for name in FIX.names or () if name not in OF_CONTEXT)
 HEARD_S = 0.6  # of the approach with the radio on: the longest delay of a message
 FLEET_SEEDS = 2**62
 FLEET_STARTS = 2  # draws of the others' first positions: as they enter the world, and again for their approach
@@ -85,11 +85,14 @@ def fleet_generator(seed: int) -> np.random.Generator:
     return named_generator(seed, "start")
 
 
-def fixes_of(solution: Solution) -> Fixes:
-    """The fields of a solution that kernels read."""
-    context = solution.context or ContextReport.none(solution.batch)
-    given = {name: getattr(solution, name) for name in OF_SOLUTION}
-    return Fixes(**given, **{name: getattr(context, name) for name in OF_CONTEXT})
+def fixes_of(solution: Solution) -> Records:
+    """FIX (B,) of a solution."""
+    context, out = solution.context or ContextReport.none(solution.batch), np.empty(solution.batch, FIX)
+    for name in OF_SOLUTION:
+        out[name] = getattr(solution, name)
+    for name in OF_CONTEXT:
+        out[name] = getattr(context, name)
+    return out
 
 
 @dataclass(frozen=True)
