@@ -56,6 +56,7 @@ class RtkReckoningNavigator(Navigator):
         self._services = ServiceSet(self.config, self.track.system)
         self._stages = EpochStages(self.config, self._services)
         self._epoch: Epoch | None = None
+        self._stages.compile_ahead(lambda: blank_epoch(self._parameters, self._tables, self.initial_belief(1)))
 
     def initial_belief(self, batch: int) -> State:
         """Nothing is known but the bounds of the heading and of the gyro bias."""
