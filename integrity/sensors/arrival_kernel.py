@@ -9,11 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.records import record
 from lanebound.integrity.sensors.multipath_kernel import (
     ARRIVAL,
     MOST_ARRIVALS,
@@ -35,12 +32,12 @@ from lanebound.integrity.sky.raytrace_kernel import BLOCKED, FOLIAGE, LOS, REFLE
 __all__ = [
     "ARRIVAL",
     "BANDS",
+    "DELAYS",
     "DIFFRACTED",
     "MULTIPATH",
     "PATH_RULES",
     "TRACKED",
     "SignalGeometry",
-    "SignalWork",
     "find_arrivals",
     "track",
 ]
@@ -80,33 +77,24 @@ TRACKED = record(
 """What lasts of a satellite's arrival from epoch to epoch."""
 
 
+DELAYS = record(code=("f8", (BANDS,), "of codes, by band [m]"), carrier=("f8", (BANDS,), "of carriers, by band [m]"))
+"""What reflections and near objects add to a signal in an epoch."""
+
+
 class SignalGeometry(NamedTuple):
-    """A signal at an antenna: unit vector to the satellite, elevation [rad], antenna [m], velocity [m/s]."""
+    """A signal at an antenna: unit vector to the satellite, antenna [m], velocity [m/s]."""
 
     e: tuple[float, float, float]
-    elevation: float
     x: tuple[float, float, float]
     v: tuple[float, float, float]
 
 
-class SignalWork(NamedTuple):
-    """Work of B vehicles for the signal at hand.
-
-    arrivals (B, 4) of ARRIVAL; sources (B, 4) values of TRACKED.arrival; code, carrier (B, 2): errors by band [m].
-    """
-
-    arrivals: Records
-    sources: NDArray[np.float64]
-    code: NDArray[np.float64]
-    carrier: NDArray[np.float64]
-
-
-@jit(borrows=True)
+@jit
 def _dot(a, b):  # type: ignore[no-untyped-def]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@jit(borrows=True)
+@jit
 def _add_direct(rules, path, edges, edge, way, fluctuation, wavelength, arrival):  # type: ignore[no-untyped-def]
     """Fill the arrival of the direct or diffracted ray; its kind, BLOCKED for none.
 
@@ -131,7 +119,7 @@ def _add_direct(rules, path, edges, edge, way, fluctuation, wavelength, arrival)
     return kind
 
 
-@jit(borrows=True)
+@jit
 def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-untyped-def]
     """Fill the arrival of a reflection at a face (FACE): ``L = 2 d (e.n)``, ``dL/dt = 2 (e.n)(n.v)``; False for none.
 
@@ -150,70 +138,70 @@ def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-u
     return arrival.amplitude > 0.0
 
 
-@jit(borrows=True, forceinline=True)
-def find_arrivals(rules, reception, v, s, way, fluctuation, wavelength, arrivals, sources):  # type: ignore[no-untyped-def]
-    """Fill arrivals and sources, at most 3, of satellite s at vehicle v: their number, and the kind of the direct one.
+@jit
+def find_arrivals(rules, reception, faces, edges, way, fluctuation, wavelength, arrivals):  # type: ignore[no-untyped-def]
+    """Fill the arrivals of a signal (ARRIVAL), at most 3: their number, and the kind of the direct one.
 
-    reception of ReceptionRows, way of SignalGeometry. A reflection at an unknown face keeps the excess of the mask.
+    reception (RECEPTION) names some of the ``faces`` and ``edges``; way of SignalGeometry. A reflection at an unknown
+    face keeps the excess of the mask.
     """
-    path = reception.path[v, s]
-    edge = reception.edge[v, s]
-    kind = _add_direct(rules, path, reception.edges, edge, way, fluctuation, wavelength, arrivals[0])
-    count = 0
+    path, edge, count = reception.path, reception.edge, 0
+    kind = _add_direct(rules, path, edges, edge, way, fluctuation, wavelength, arrivals[0])
     if kind != BLOCKED:
-        sources[0], count = DIRECT, 1
+        arrivals[0].source, count = DIRECT, 1
     for k in range(STRONGEST):
-        face = reception.face[v, s, k]
-        if face >= 0 and _add_reflection(rules, reception.faces[face], way, wavelength, arrivals[count]):
-            sources[count] = face
+        face = reception.face[k]
+        if face >= 0 and _add_reflection(rules, faces[face], way, wavelength, arrivals[count]):
+            arrivals[count].source = face
             count += 1
-    if path == REFLECTED and count == 0 and reception.face[v, s, 0] < 0:
+    if path == REFLECTED and count == 0 and reception.face[0] < 0:
         last = arrivals[0]
-        last.amplitude, last.excess_m = 10.0 ** (-0.05 * rules.reflection_loss), reception.excess[v, s]
+        last.amplitude, last.excess_m = 10.0 ** (-0.05 * rules.reflection_loss), reception.excess
         last.phase_rad = last.rate_mps = 0.0
-        sources[0], count = UNKNOWN_FACE, 1
+        last.source, count = UNKNOWN_FACE, 1
     return count, kind
 
 
-@jit(borrows=True)
-def _recall(memory, arrivals, sources, count, edge):  # type: ignore[no-untyped-def]
+@jit
+def _recall(memory, arrivals, count, edge):  # type: ignore[no-untyped-def]
     """Set the extra paths of the last epoch in the arrivals, and remember the present ones.
 
     A ray over another edge than in the last epoch is a new arrival: its path has no past.
     """
     for i in range(count):
-        arrivals[i].before_m = arrivals[i].excess_m
-        if sources[i] == DIRECT and memory.edge != edge:
+        arrival = arrivals[i]
+        arrival.before_m = arrival.excess_m
+        if arrival.source == DIRECT and memory.edge != edge:
             continue
         for k in range(MOST_ARRIVALS):
-            if memory.arrival != NOTHING and memory.sources[k] == sources[i]:
-                arrivals[i].before_m = memory.excess[k]
+            if memory.arrival != NOTHING and memory.sources[k] == arrival.source:
+                arrival.before_m = memory.excess[k]
     memory.edge = edge
     for i in range(MOST_ARRIVALS):
-        memory.sources[i], memory.excess[i] = (sources[i], arrivals[i].excess_m) if i < count else (NOTHING, 0.0)
+        there = i < count
+        memory.sources[i], memory.excess[i] = (arrivals[i].source, arrivals[i].excess_m) if there else (NOTHING, 0.0)
 
 
-@jit(borrows=True, forceinline=True)
-def track(rules, band, count, work, v, edge, chance, bands, memory):  # type: ignore[no-untyped-def]
+@jit
+def track(rules, band, bands, arrivals, count, edge, chance, memory, delays):  # type: ignore[no-untyped-def]
     """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate,
     and the present power over that of an unobstructed signal [dB].
 
-    band: wavelength and chip [m], (2,) each; ``work`` of vehicle v gets the errors of code and carrier by band; edge
-    of the direct ray, -1 for none. When another arrival becomes the strongest, the lock is kept with probability
+    band: wavelength and chip [m], (2,) each, of which ``bands`` are tracked; edge of the direct ray, -1 for none;
+    ``delays`` (DELAYS) are filled. When another arrival becomes the strongest, the lock is kept with probability
     ``rules.keep_lock`` (``chance``, a uniform draw): the loop follows the phase of the sum. Otherwise the receiver
     notices.
     """
-    arrivals, sources = work.arrivals[v], work.sources[v]
     r = strongest_of(arrivals, count)
     old, rate, fade = memory.arrival, 0.0, 0.0
-    broken = old != NOTHING and old != sources[r] and chance >= rules.keep_lock
-    _recall(memory, arrivals, sources, count, edge)
-    memory.arrival = sources[r]
+    broken = old != NOTHING and old != arrivals[r].source and chance >= rules.keep_lock
+    _recall(memory, arrivals, count, edge)
+    memory.arrival = arrivals[r].source
     for b in range(bands):
         loops = Loops(band[0][b], band[1][b], rules.spacing, rules.code_loop, rules.carrier_loop)
         sum_, last = combine(arrivals, count, r, loops), memory.carrier[b] if old != NOTHING else math.nan
         memory.carrier[b] = follow_carrier(arrivals, count, r, loops, last)
-        work.code[v, b], work.carrier[v, b] = sum_.code_m, memory.carrier[b]
+        delays.code[b], delays.carrier[b] = sum_.code_m, memory.carrier[b]
         if b == 0:
             rate = sum_.rate_mps
             fade = 20.0 * math.log10(max(sum_.amplitude, 1e-6)) if sum_.amplitude != 1.0 else 0.0
