@@ -32,11 +32,11 @@ from lanebound.integrity.sky.raytrace_kernel import BLOCKED, FOLIAGE, LOS, REFLE
 __all__ = [
     "ARRIVAL",
     "BANDS",
-    "DELAYS",
     "DIFFRACTED",
     "MULTIPATH",
     "PATH_RULES",
     "TRACKED",
+    "WORK",
     "SignalGeometry",
     "find_arrivals",
     "track",
@@ -77,8 +77,12 @@ TRACKED = record(
 """What lasts of a satellite's arrival from epoch to epoch."""
 
 
-DELAYS = record(code=("f8", (BANDS,), "of codes, by band [m]"), carrier=("f8", (BANDS,), "of carriers, by band [m]"))
-"""What reflections and near objects add to a signal in an epoch."""
+WORK = record(
+    arrivals=(ARRIVAL, (MOST_ARRIVALS,), "direct or diffracted ray, and reflections"),
+    code=("f8", (BANDS,), "what they and near objects add to codes, by band [m]"),
+    carrier=("f8", (BANDS,), "the same of carriers [m]"),
+)
+"""The signal at hand."""
 
 
 class SignalGeometry(NamedTuple):
@@ -95,16 +99,16 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _add_direct(rules, path, edges, edge, way, fluctuation, wavelength, arrival):  # type: ignore[no-untyped-def]
+def _add_direct(rules, reception, way, fluctuation, wavelength, arrival):  # type: ignore[no-untyped-def]
     """Fill the arrival of the direct or diffracted ray; its kind, BLOCKED for none.
 
     The mask says free or blocked for a whole cell; within a cell of its edge the line of the edge decides.
     """
+    path, line = reception.path, reception.line
     clear = path == LOS or path == FOLIAGE
     kind, loss = (path, 0.0) if clear else (BLOCKED, 0.0)
     arrival.excess_m = arrival.rate_mps = arrival.phase_rad = 0.0
-    if edge >= 0:
-        line = edges[edge]
+    if reception.edge >= 0:
         below, excess, rate = edge_detour(way.e, line.along, line.point, way.x, way.v)
         if abs(below) <= CELL_RAD or (below > 0.0) != clear:
             kind = path if clear else LOS
@@ -138,23 +142,21 @@ def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-u
     return arrival.amplitude > 0.0
 
 
-@jit
-def find_arrivals(rules, reception, faces, edges, way, fluctuation, wavelength, arrivals):  # type: ignore[no-untyped-def]
+@jit(forceinline=True)  # a third of the time of a signal otherwise
+def find_arrivals(rules, reception, way, fluctuation, wavelength, arrivals):  # type: ignore[no-untyped-def]
     """Fill the arrivals of a signal (ARRIVAL), at most 3: their number, and the kind of the direct one.
 
-    reception (RECEPTION) names some of the ``faces`` and ``edges``; way of SignalGeometry. A reflection at an unknown
-    face keeps the excess of the mask.
+    reception of RECEPTION, way of SignalGeometry. A reflection at an unknown face keeps the excess of the mask.
     """
-    path, edge, count = reception.path, reception.edge, 0
-    kind = _add_direct(rules, path, edges, edge, way, fluctuation, wavelength, arrivals[0])
+    kind, count = _add_direct(rules, reception, way, fluctuation, wavelength, arrivals[0]), 0
     if kind != BLOCKED:
         arrivals[0].source, count = DIRECT, 1
     for k in range(STRONGEST):
         face = reception.face[k]
-        if face >= 0 and _add_reflection(rules, faces[face], way, wavelength, arrivals[count]):
+        if face >= 0 and _add_reflection(rules, reception.planes[k], way, wavelength, arrivals[count]):
             arrivals[count].source = face
             count += 1
-    if path == REFLECTED and count == 0 and reception.face[0] < 0:
+    if reception.path == REFLECTED and count == 0 and reception.face[0] < 0:
         last = arrivals[0]
         last.amplitude, last.excess_m = 10.0 ** (-0.05 * rules.reflection_loss), reception.excess
         last.phase_rad = last.rate_mps = 0.0
@@ -182,26 +184,27 @@ def _recall(memory, arrivals, count, edge):  # type: ignore[no-untyped-def]
         memory.sources[i], memory.excess[i] = (arrivals[i].source, arrivals[i].excess_m) if there else (NOTHING, 0.0)
 
 
-@jit
-def track(rules, band, bands, arrivals, count, edge, chance, memory, delays):  # type: ignore[no-untyped-def]
+@jit(forceinline=True)  # a third of the time of a signal otherwise
+def track(rules, wavelength, chip, bands, edge, chance, memory, count, work):  # type: ignore[no-untyped-def]
     """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate,
     and the present power over that of an unobstructed signal [dB].
 
-    band: wavelength and chip [m], (2,) each, of which ``bands`` are tracked; edge of the direct ray, -1 for none;
-    ``delays`` (DELAYS) are filled. When another arrival becomes the strongest, the lock is kept with probability
+    wavelength and chip (2,) [m] of the ``bands`` tracked; edge of the direct ray, -1 for none; ``work`` (WORK) has the
+    arrivals and gets the errors. When another arrival becomes the strongest, the lock is kept with probability
     ``rules.keep_lock`` (``chance``, a uniform draw): the loop follows the phase of the sum. Otherwise the receiver
     notices.
     """
+    arrivals = work.arrivals
     r = strongest_of(arrivals, count)
     old, rate, fade = memory.arrival, 0.0, 0.0
     broken = old != NOTHING and old != arrivals[r].source and chance >= rules.keep_lock
     _recall(memory, arrivals, count, edge)
     memory.arrival = arrivals[r].source
     for b in range(bands):
-        loops = Loops(band[0][b], band[1][b], rules.spacing, rules.code_loop, rules.carrier_loop)
+        loops = Loops(wavelength[b], chip[b], rules.spacing, rules.code_loop, rules.carrier_loop)
         sum_, last = combine(arrivals, count, r, loops), memory.carrier[b] if old != NOTHING else math.nan
         memory.carrier[b] = follow_carrier(arrivals, count, r, loops, last)
-        delays.code[b], delays.carrier[b] = sum_.code_m, memory.carrier[b]
+        work.code[b], work.carrier[b] = sum_.code_m, memory.carrier[b]
         if b == 0:
             rate = sum_.rate_mps
             fade = 20.0 * math.log10(max(sum_.amplitude, 1e-6)) if sum_.amplitude != 1.0 else 0.0

@@ -397,8 +397,7 @@ def observe(
     vehicles["sight"], vehicles["age"], vehicles["next_best"] = sky.index, age_s, effects.next_best
     gk.observe(
         gnss_parameters(config, truth.dt_s), area.site, area.memory, message, state.vehicles, state.signals, draws,
-        reception.faces.table, reception.faces.edges, sky.rows, reception.records, truth.records, effects.signals,
-        effects.vehicles, signals, vehicles,
+        sky.rows, reception.records, truth.records, effects.signals, effects.vehicles, signals, vehicles,
     )  # fmt: skip
     return gnss_epoch(signals, vehicles)
 

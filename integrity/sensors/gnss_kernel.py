@@ -11,19 +11,17 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.sensors.arrival_kernel import (
-    ARRIVAL,
     BANDS,
-    DELAYS,
     DIRECT,
     MULTIPATH,
     NOTHING,
     PATH_RULES,
     TRACKED,
+    WORK,
     SignalGeometry,
     find_arrivals,
     track,
 )
-from lanebound.integrity.sensors.multipath_kernel import MOST_ARRIVALS
 from lanebound.integrity.sensors.near_objects_kernel import NEAR, NEAR_RULES, advance_near
 from lanebound.integrity.sky.raytrace_kernel import BLOCKED, LOS, REFLECTED
 from lanebound.integrity.sky.systems_kernel import N_SYSTEMS
@@ -313,7 +311,7 @@ def common_delay(rules, slant, age, slow):  # type: ignore[no-untyped-def]
 
 
 @jit
-def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, delays, out):  # type: ignore[no-untyped-def]
+def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, work, out):  # type: ignore[no-untyped-def]
     """Code and phase of a satellite of system c: what is common to all, and what each band adds."""
     iono, root = rules.iono_sigma * slow.iono, math.sqrt(path.clear)
     code_error = path.code_error - rules.station_code_multipath * root * station.code_multipath
@@ -323,7 +321,7 @@ def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, de
     for b in range(rules.bands):
         delay = iono * rules.dispersion[c, b]
         noise = own_code * z.code[b] - rules.station_code * root * station.code[b]
-        out.code[b] = path.common + receiver.code_delay[c, b] + delay + code_error + noise + delays.code[b]
+        out.code[b] = path.common + receiver.code_delay[c, b] + delay + code_error + noise + work.code[b]
         if has_phase:
             noise = own_phase * z.phase[b] + own_multipath * signal.phase_multipath[b]
             theirs = rules.station_phase * station.phase[b] + rules.station_phase_multipath * station.phase_multipath[b]
@@ -336,30 +334,30 @@ def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, de
                 + cycles
                 + noise
                 - root * theirs
-                + delays.carrier[b]
+                + work.carrier[b]
             )
 
 
 @jit
-def by_paths(rules, reception, faces, edges, way, system, u, signal, arrivals, delays):  # type: ignore[no-untyped-def]
+def by_paths(rules, reception, way, system, u, signal, work):  # type: ignore[no-untyped-def]
     """Reception by the paths of ray casting: (received, lock broken, range rate error [m/s], present power over that of
     the unobstructed signal [dB]); sets ``reception.path``.
 
-    The errors by band are in ``delays``, the smoothed powers in the signal.
+    The errors by band are in ``work`` (WORK), the smoothed powers in the signal.
     """
     memory, wave = signal.tracked, rules.wavelength[system, 0]
-    count, kind = find_arrivals(rules.paths, reception, faces, edges, way, signal.cn0, wave, arrivals)
+    count, kind = find_arrivals(rules.paths, reception, way, signal.cn0, wave, work.arrivals)
     if count == 0:
         memory.arrival = NOTHING
         for b in range(BANDS):
-            delays.code[b] = delays.carrier[b] = 0.0
+            work.code[b] = work.carrier[b] = 0.0
         reception.path = BLOCKED
         return False, False, 0.0, 0.0
-    band, chance = (rules.wavelength[system], rules.chip[system]), digits(u.slip, 1e4)
     broken, strongest, rate, fade = track(
-        rules.paths, band, rules.bands, arrivals, count, reception.edge, chance, memory, delays
-    )
-    if arrivals[strongest].source != DIRECT:
+        rules.paths, rules.wavelength[system], rules.chip[system], rules.bands, reception.edge, digits(u.slip, 1e4),
+        memory, count, work,
+    )  # fmt: skip
+    if work.arrivals[strongest].source != DIRECT:
         reception.path = REFLECTED
     else:
         reception.path = MULTIPATH if count > 1 and kind == LOS else kind
@@ -368,8 +366,8 @@ def by_paths(rules, reception, faces, edges, way, system, u, signal, arrivals, d
 
 @jit
 def observe_vehicle(
-    rules, site, slows, held, receiver, memory, draws, faces, edges, los, above, system, reception, truth, effects, moved,
-    signals, vehicle,
+    rules, site, slows, held, receiver, memory, draws, los, above, system, reception, truth, effects, moved, signals,
+    vehicle, work,
 ):  # type: ignore[no-untyped-def]  # fmt: skip
     """Advance the receiver of a vehicle and fill what it observes of S satellites.
 
@@ -379,15 +377,13 @@ def observe_vehicle(
     ----------
     rules, site, slows, held : GNSS_RULES; SITE and (S,) of SLOW of the area; (S,) of STATION, the message held
     receiver, memory, draws : RECEIVER and (S,) of SIGNAL, which advance by ReceiverDraws
-    faces, edges : tables of FACE and EDGE_LINE that ``reception`` refers to
     los, above, system : (S, 3) unit vectors to the satellites, (S,) and (S,) as in SatelliteRows
     reception : (S,) of RECEPTION, how each signal arrives; its path becomes what is tracked
     truth : TRUTH of the antenna
     effects, moved : (S,) of SIGNAL_EFFECTS, and VEHICLE_EFFECTS
     signals, vehicle : (S,) of OBSERVED_SIGNAL, filled, and OBSERVED_VEHICLE, whose age is read
+    work : WORK, scratch
     """
-    arrivals, errors = np.zeros(MOST_ARRIVALS, ARRIVAL), np.zeros(1, DELAYS)
-    delays = errors[0]
     used_age = vehicle.age if vehicle.age < 1e6 else 0.0
     vx, vy, vz = truth.velocity[0], truth.velocity[1], truth.velocity[2]
     antenna, velocity = (truth.position[0], truth.position[1], truth.position[2]), (vx, vy, vz)
@@ -414,9 +410,7 @@ def observe_vehicle(
         advance(rules, decay, gain, z, signal)
         e, n, u = los[s, 0], los[s, 1], los[s, 2]
         way = SignalGeometry((e, n, u), antenna, velocity)
-        arrives, broken, late_rate, fade = by_paths(
-            rules, reception[s], faces, edges, way, c, uniform, signal, arrivals, delays
-        )
+        arrives, broken, late_rate, fade = by_paths(rules, reception[s], way, c, uniform, signal, work)
         clear_level = open_level(rules, u, effect.cn0_drop_db, signal.cn0)
         level = clear_level + signal.tracked.fade
         received = arrives and level >= rules.track_min
@@ -428,7 +422,7 @@ def observe_vehicle(
         slant = 1.0 / u
         if rules.near.fitted:
             root = math.sqrt(0.5 * (1.0 + slant * slant))
-            late_rate += advance_near(rules.near, speed, root, draws.near[s], signal.near, delays)
+            late_rate += advance_near(rules.near, speed, root, draws.near[s], signal.near, work)
         if not has_code:
             continue
         out.tracked, out.cn0 = True, level
@@ -436,7 +430,7 @@ def observe_vehicle(
         multipath = own_part(rules.code_multipath, rules.station_code_multipath, power, clear) * signal.code_multipath
         common = common_delay(rules, slant, used_age, slow) - (e * x + n * y + u * h) + offset
         path = _Path(common, multipath + effect.code_bias_m, effect.phase_bias_m, power, clear)
-        fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, held[s], delays, out)
+        fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, held[s], work, out)
         motion = e * vx + n * vy + u * vz
         rate_error = rules.rate_sigma * math.sqrt(power) * signal.rate
         out.range_rate = receiver.drift - motion + effect.range_rate_bias_mps + rate_error + late_rate
@@ -444,14 +438,14 @@ def observe_vehicle(
 
 @jit
 def observe(
-    rules, sites, slows, held, receivers, memories, draws, faces, edges, sky, reception, truths, effects, moved, signals,
-    vehicles,
+    rules, sites, slows, held, receivers, memories, draws, sky, reception, truths, effects, moved, signals, vehicles
 ):  # type: ignore[no-untyped-def]  # fmt: skip
     """:func:`observe_vehicle` for B vehicles in A areas, A is 1 or B: a row for each, rules (1,)."""
+    work = np.zeros(1, WORK)
     for v in range(vehicles.shape[0]):
         a, k = v % sites.shape[0], vehicles[v].sight
         own = ReceiverDraws(draws.normals[v], draws.uniforms[v], draws.near[v], draws.clock[v])
         observe_vehicle(
-            rules[0], sites[a], slows[a], held[v], receivers[v], memories[v], own, faces, edges, sky.los[k], sky.above[k],
-            sky.system, reception[v], truths[v], effects[v], moved[v], signals[v], vehicles[v],
+            rules[0], sites[a], slows[a], held[v], receivers[v], memories[v], own, sky.los[k], sky.above[k], sky.system,
+            reception[v], truths[v], effects[v], moved[v], signals[v], vehicles[v], work[0],
         )  # fmt: skip

@@ -10,6 +10,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.streams_kernel import fill, uniform
 from lanebound.integrity.sensors import imu_kernel, odometer_kernel
+from lanebound.integrity.sensors.arrival_kernel import WORK
 from lanebound.integrity.sensors.corrections_kernel import LINK_RULES, receive
 from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_uniforms
 from lanebound.integrity.sensors.gnss_kernel import GNSS_RULES, NORMALS, UNIFORMS, ReceiverDraws, observe_vehicle
@@ -122,7 +123,7 @@ def sense(
     """
     par, satellites, latest = rules[0], signals.shape[1], -1
     cells, reception = np.empty(satellites, np.int64), np.empty(satellites, RECEPTION)
-    row = np.empty(draw_width(satellites))
+    row, work = np.empty(draw_width(satellites)), np.zeros(1, WORK)
     for v in range(first, last):
         a, k, truth, out = v % areas.sites.shape[0], vehicles[v].sight, truths[v], vehicles[v]
         if draws.drawn.shape[0] > 0:
@@ -142,8 +143,8 @@ def sense(
         )  # fmt: skip
         observe_vehicle(
             par.gnss, areas.sites[a], areas.slow[a], sensors.held[v], sensors.receivers[v], sensors.signals[v],
-            ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), mask.faces,
-            mask.edges, sky.los[k], sky.above[k], sky.system, reception, truth, effects[v], moved[v], signals[v], out,
+            ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), sky.los[k],
+            sky.above[k], sky.system, reception, truth, effects[v], moved[v], signals[v], out, work[0],
         )  # fmt: skip
         imu_kernel.measure(par.imu, sensors.inertial[v], z.imu, truth, moved[v].gyro_bias_radps, out)
         odometer_kernel.measure(par.odometer, sensors.wheels[v], z.odometer, truth.distance, moved[v], out)

@@ -38,8 +38,8 @@ NEAR = record(
 
 
 @jit
-def advance_near(rules, speed, root, z, near, delays):  # type: ignore[no-untyped-def]
-    """Advance ``near`` by the draws z (both NEAR), and add its errors to ``delays`` (DELAYS).
+def advance_near(rules, speed, root, z, near, work):  # type: ignore[no-untyped-def]
+    """Advance ``near`` by the draws z (both NEAR), and add its errors to ``work`` (WORK).
 
     ``root`` is the factor of the elevation, ``speed`` is in m/s. Returns the error of the range rate [m/s].
     """
@@ -51,6 +51,6 @@ def advance_near(rules, speed, root, z, near, delays):  # type: ignore[no-untype
     for b in range(NEAR_BANDS):
         near.code[b] = of_code * near.code[b] + new_code * z.code[b]
         near.phase[b] = of_phase * near.phase[b] + new_phase * z.phase[b]
-        delays.code[b] += sizes[0] * near.code[b]
-        delays.carrier[b] += sizes[1] * near.phase[b]
+        work.code[b] += sizes[0] * near.code[b]
+        work.carrier[b] += sizes[1] * near.phase[b]
     return sizes[1] * (near.phase[0] - before) / rules.dt

@@ -75,6 +75,8 @@ RECEPTION = record(
     excess="extra path of the strongest reflection, 0 for none [m]",
     face=("i4", (STRONGEST,), "indices of the faces that reflect, -1 for none"),
     edge=("i4", "index of the upper edge of the highest obstacle in the satellite's azimuth, -1 for none"),
+    planes=(FACE, (STRONGEST,), "of the faces"),
+    line=(EDGE_LINE, "of the edge"),
 )
 """How the signal of a satellite arrives."""
 
@@ -425,9 +427,17 @@ def look_up(mask, cells, arc, lane, out):  # type: ignore[no-untyped-def]
         c, signal = cells[s], out[s]
         signal.path, signal.excess = (mask.path[n, row, c], mask.excess[n, row, c]) if c >= 0 else (BLOCKED, 0.0)
         signal.face[0] = signal.face[1] = signal.edge = -1
-        if c >= 0 and mask.face.shape[0] > 0:
-            signal.face[0], signal.face[1] = mask.face[n, row, c, 0], mask.face[n, row, c, 1]
-            signal.edge = mask.edge[n, row, c // rules.elevations]
+        if c < 0 or mask.face.shape[0] == 0:
+            continue
+        for k in range(STRONGEST):
+            face = mask.face[n, row, c, k]
+            signal.face[k] = face
+            if face >= 0:
+                signal.planes[k] = mask.faces[face]
+        edge = mask.edge[n, row, c // rules.elevations]
+        signal.edge = edge
+        if edge >= 0:
+            signal.line = mask.edges[edge]
 
 
 @jit

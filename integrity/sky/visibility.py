@@ -67,18 +67,16 @@ class Reception:
         multipath; a REFLECTED signal is received only by this reflection.
     given : (B, S) of RECEPTION, of which path and excess are fields: also the faces that reflect and the edges that
         diffract; None for none of them
-    faces : the tables of those faces and edges
     """
 
     path: NDArray[np.uint8]
     excess_m: Array
     given: Records | None = None
-    faces: Faces = field(default_factory=Faces.none)
 
     @classmethod
-    def of(cls, records: Records, faces: Faces) -> Self:
-        """The reception of records (B, S) of RECEPTION, with the tables that they refer to."""
-        return cls(records["path"], records["excess"], records, faces)
+    def of(cls, records: Records) -> Self:
+        """The reception of records (B, S) of RECEPTION."""
+        return cls(records["path"], records["excess"], records)
 
     @property
     def records(self) -> Records:
@@ -245,9 +243,9 @@ class SkyMask:
         rows = sky.azimuth_rad.shape[0]
         if batch[0] and not (sky.index.min() >= 0 and sky.index.max() < rows):
             raise InputError(f"sky.index must lie in [0, {rows - 1}], got {sky.index.max()}: name existing rows")
-        out = np.empty((batch[0], sky.azimuth_rad.shape[1]), RECEPTION)
+        out = np.zeros((batch[0], sky.azimuth_rad.shape[1]), RECEPTION)
         look_up_rows(self.rows, sky.rows, sky.index, arc, lanes, out)
-        return Reception.of(out, self.faces)
+        return Reception.of(out)
 
     @cached_property
     def rows(self) -> MaskRows:
