@@ -270,10 +270,11 @@ def measured_of(m: Measurements) -> Measured:
         wrong, rank = _no_error(g.phase_m.shape)
     elif not wrong.flags.writeable:  # compiled stages take arrays of one kind
         wrong, rank = wrong.copy(), rank.copy()
-    return Measured(
+    arrays: Any = (
         m.sky.los_enu, m.sky.index, g.tracked, g.cn0_dbhz, g.code_m, g.phase_m, g.range_rate_mps, g.lock_lost,
         g.corrections_age_s, m.imu.delta_theta_rad, m.imu.delta_v_mps, m.odometer.speed_mps, wrong, rank,
     )  # fmt: skip
+    return Measured(*map(np.ascontiguousarray, arrays))
 
 
 @lru_cache(maxsize=16)
