@@ -81,7 +81,7 @@ def fill_motion(motions, rows, step_s, down, truth):  # type: ignore[no-untyped-
 
 @jit(borrows=True)
 def fill_whereabouts(cars, lanes, where, e, first, count, truth):  # type: ignore[no-untyped-def]
-    """Fill arc and lane of the ``count`` navigating vehicles of environment e, rows ``first`` on of ``truth`` (TRUTH)."""
+    """Fill arc and lane of the ``count`` navigating vehicles of environment e, from row ``first`` of TRUTH on."""
     for v in range(cars.present[e]):
         i = 0 if v == 0 else cars.slot[e, v] + 1
         if (v == 0 or i > 0) and i < count:

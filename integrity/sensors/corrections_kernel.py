@@ -90,9 +90,9 @@ def receive(epoch, rules, network, sent, chance, z, lost, link, held):  # type: 
     """A vehicle's reception at ``epoch`` of the clock: the age of its reference data [s], inf without any.
 
     sent, held (S,): the newest message of the area, and the one that the vehicle holds; ``chance`` uniform and z
-    normal, the draws of the epoch, read with outages alone; ``lost``: cut by a fault. A vehicle that receives the newest
-    message keeps it until the next one. An outage of its own that would run into one of the network does not take
-    place: lengths keep their law.
+    normal, the draws of the epoch, read with outages alone; ``lost``: cut by a fault. A vehicle that receives the
+    newest message keeps it until the next one. An outage of its own that would run into one of the network does not
+    take place: lengths keep their law.
     """
     if rules.outages and link.outage_left == 0 and network.up and chance < rules.onset:
         length = outage_epochs(rules, z)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ SIGNAL_EFFECTS = record(
 """Effects of faults on a satellite's signal at a vehicle."""
 
 VEHICLE_EFFECTS = record(
-    next_best=("f8", (2,), "rank of the wrong integers that positioning accepts, 0 for none; azimuth of their error [rad]"),
+    next_best=("f8", (2,), "rank of the wrong integers that positioning accepts, 0 for none; their azimuth [rad]"),
     spoof_enu_m=("f8", (3,), "displacement of the position that the signals describe"),
     reference_enu_m=("f8", (3,), "error of the reference coordinates, by which RTK positions move"),
     corrections_lost=("?", "the reference link is cut"),
@@ -38,11 +37,6 @@ VEHICLE_EFFECTS = record(
     v2v_pl_scale="factor on the protection levels it broadcasts, 1 = none",
 )
 """Effects of faults on the rest of a vehicle."""
-
-
-def _field() -> Any:
-    """A field of one of the records, as an array."""
-    return field(init=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -57,23 +51,23 @@ class FaultEffects:
     next_best to v2v_pl_scale : those of ``vehicles``, (B,), (B, 2) and (B, 3)
     """
 
-    signals: Records = field(repr=False)
-    vehicles: Records = field(repr=False)
-    code_bias_m: Array = _field()
-    phase_bias_m: Array = _field()
-    range_rate_bias_mps: Array = _field()
-    cn0_drop_db: Array = _field()
-    slip_cycles: NDArray[np.int64] = _field()
-    integer_error: NDArray[np.int64] = _field()
-    next_best: Array = _field()
-    spoof_enu_m: Array = _field()
-    reference_enu_m: Array = _field()
-    corrections_lost: NDArray[np.bool_] = _field()
-    gyro_bias_radps: Array = _field()
-    odometer_scale: Array = _field()
-    odometer_frozen: NDArray[np.bool_] = _field()
-    v2v_offset_enu_m: Array = _field()
-    v2v_pl_scale: Array = _field()
+    signals: Records
+    vehicles: Records
+    code_bias_m: Array = field(init=False, repr=False)
+    phase_bias_m: Array = field(init=False, repr=False)
+    range_rate_bias_mps: Array = field(init=False, repr=False)
+    cn0_drop_db: Array = field(init=False, repr=False)
+    slip_cycles: NDArray[np.int64] = field(init=False, repr=False)
+    integer_error: NDArray[np.int64] = field(init=False, repr=False)
+    next_best: Array = field(init=False, repr=False)
+    spoof_enu_m: Array = field(init=False, repr=False)
+    reference_enu_m: Array = field(init=False, repr=False)
+    corrections_lost: NDArray[np.bool_] = field(init=False, repr=False)
+    gyro_bias_radps: Array = field(init=False, repr=False)
+    odometer_scale: Array = field(init=False, repr=False)
+    odometer_frozen: NDArray[np.bool_] = field(init=False, repr=False)
+    v2v_offset_enu_m: Array = field(init=False, repr=False)
+    v2v_pl_scale: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for records in (self.signals, self.vehicles):

@@ -157,8 +157,7 @@ COHERENT_S = 0.02  # of a correlation: a bit of the GPS L1 C/A message
 
 
 class ReceiverDraws(NamedTuple):
-    """Draws of an epoch: normals (..., S) of NORMALS, uniforms of UNIFORMS, near of NEAR, clock (..., 2) standard normal.
-    """
+    """Draws of an epoch: normals (..., S) of NORMALS, uniforms of UNIFORMS, near of NEAR, clock (..., 2)."""
 
     normals: Records
     uniforms: Records
@@ -365,10 +364,10 @@ def by_paths(rules, reception, way, system, u, signal, work):  # type: ignore[no
 
 
 @jit
-def observe_vehicle(
+def observe_vehicle(  # type: ignore[no-untyped-def]
     rules, site, slows, held, receiver, memory, draws, los, above, system, reception, truth, effects, moved, signals,
     vehicle, work,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Advance the receiver of a vehicle and fill what it observes of S satellites.
 
     Entries of untracked signals are 0. Those tracked describe the position plus the spoofing.
@@ -437,9 +436,9 @@ def observe_vehicle(
 
 
 @jit
-def observe(
+def observe(  # type: ignore[no-untyped-def]
     rules, sites, slows, held, receivers, memories, draws, sky, reception, truths, effects, moved, signals, vehicles
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """:func:`observe_vehicle` for B vehicles in A areas, A is 1 or B: a row for each, rules (1,)."""
     work = np.zeros(1, WORK)
     for v in range(vehicles.shape[0]):

@@ -91,8 +91,7 @@ class ImuConfig(Config):
 
 @dataclass
 class ImuState:
-    """Errors that persist, and the time since switch-on: ``sensors`` (B,) of INERTIAL, a record of :mod:`.imu_kernel`.
-    """
+    """What persists: ``sensors`` (B,) of INERTIAL, a record of :mod:`.imu_kernel`."""
 
     sensors: Records
 

@@ -220,13 +220,13 @@ class Instruments:
 
     def _draw(self, streams: Streams, drawn: NDArray[np.float64], satellites: int) -> None:
         """Fill the draws (B, W) from streams that draw in a way of their own."""
-        ends = satellites * np.cumsum(kernel.OF_SATELLITE)
-        own = drawn[:, ends[2] :].view(kernel.VEHICLE_DRAWS)[:, 0]
-        drawn[:, : ends[0]] = streams.normal("gnss", satellites, kernel.OF_SATELLITE[0]).reshape(len(drawn), -1)
-        drawn[:, ends[0] : ends[1]] = streams.uniform("gnss", satellites, kernel.OF_SATELLITE[1]).reshape(len(drawn), -1)
+        width, batch = kernel.OF_SATELLITE, len(drawn)
+        normals, uniforms, near, rest = np.split(drawn, satellites * np.cumsum(width), axis=1)
+        own = rest.view(kernel.VEHICLE_DRAWS)[:, 0]
+        normals[:] = streams.normal("gnss", satellites, width[0]).reshape(batch, -1)
+        uniforms[:] = streams.uniform("gnss", satellites, width[1]).reshape(batch, -1)
         if self.gnss.near_objects.fitted:
-            near = streams.normal("near_objects", satellites, kernel.OF_SATELLITE[2])
-            drawn[:, ends[1] : ends[2]] = near.reshape(len(drawn), -1)
+            near[:] = streams.normal("near_objects", satellites, width[2]).reshape(batch, -1)
         own["clock"], own["imu"] = streams.normal("clock", 2), streams.normal("imu", 2, 3, 5)
         own["odometer"] = streams.normal("odometer")
         if self.corrections.outage_per_h > 0.0:

@@ -107,9 +107,9 @@ def draw_jointly(rules, draws, satellites):  # type: ignore[no-untyped-def]
 
 
 @jit
-def sense(
+def sense(  # type: ignore[no-untyped-def]
     first, last, epoch, rules, areas, sensors, draws, mask, sky, truths, effects, moved, signals, vehicles
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Measure vehicles ``first`` to ``last - 1`` of B, whose sensors advance.
 
     Parameters

@@ -25,6 +25,6 @@ OBSERVED_VEHICLE = record(
     delta_v=("f8", (3,), "integrated specific force [m/s]"),
     speed="odometer, signed [m/s]",
     distance="odometer [m]",
-    next_best=("f8", (2,), "of a fault: rank of the wrong integers that are accepted, 0 for none; azimuth of their error"),
+    next_best=("f8", (2,), "of a fault: rank of the wrong integers accepted, 0 for none; their azimuth [rad]"),
 )
 """The rest of an epoch, (B,)."""

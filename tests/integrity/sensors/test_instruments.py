@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
-from lanebound.integrity.sensors import corrections_kernel as links_kernel
 from lanebound.integrity.sensors.area import advance_area
 from lanebound.integrity.sensors.corrections import link_parameters
+from lanebound.integrity.sensors.corrections_kernel import receive
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sensors.gnss import observe
 from lanebound.integrity.sensors.imu import sample_imu
@@ -71,15 +71,16 @@ def _one_by_one(navigator: Navigator, truth: Truth) -> Measurements:
 def _link_ages(navigator: Navigator, dt_s: float, lost: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Ages of the newest reference data, (B,) [s]; the links advance by an epoch."""
     c, s = navigator.config.corrections, navigator.state
-    u = z = np.empty((0, 1))
+    u = z = np.zeros(navigator.batch)
     if c.outage_per_h > 0.0:
-        u, z = s.streams.uniform("corrections", 1), s.streams.normal("corrections", 1)
-    network, held = s.area.network, s.corrections
-    sent = s.area.signals.message
-    rows = links_kernel.LinkRows(link_parameters(c, dt_s), network.rows, sent, held.links, held.held, u, z)
-    age = np.empty(navigator.batch)
-    links_kernel.advance(0, navigator.batch, network.epoch, rows, lost, age)
-    return age
+        u, z = s.streams.uniform("corrections"), s.streams.normal("corrections")
+    network, sent, links, held = s.area.network, s.area.signals.message, s.corrections.links, s.corrections.held
+    rules, areas = link_parameters(c, dt_s), network.areas
+    ages = [
+        receive(network.epoch, rules[0], areas[a], sent[a], u[v], z[v], lost[v], links[v], held[v])
+        for v, a in enumerate(np.arange(navigator.batch) % areas.size)
+    ]
+    return np.array(ages)
 
 
 def _truth(k: int, batch: int) -> Truth:
@@ -90,7 +91,7 @@ def _truth(k: int, batch: int) -> Truth:
 
 def _assert_same(a: Any, b: Any) -> None:
     if is_dataclass(a):
-        for field in fields(a):
+        for field in (field for field in fields(a) if field.init):
             _assert_same(getattr(a, field.name), getattr(b, field.name))
     else:
         np.testing.assert_array_equal(a, b)
