@@ -142,7 +142,7 @@ def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-u
     return arrival.amplitude > 0.0
 
 
-@jit(forceinline=True)  # a third of the time of a signal otherwise
+@jit(forceinline=True)  # calls cost a third of the time of a signal
 def find_arrivals(rules, reception, way, fluctuation, wavelength, arrivals):  # type: ignore[no-untyped-def]
     """Fill the arrivals of a signal (ARRIVAL), at most 3: their number, and the kind of the direct one.
 
@@ -184,7 +184,7 @@ def _recall(memory, arrivals, count, edge):  # type: ignore[no-untyped-def]
         memory.sources[i], memory.excess[i] = (arrivals[i].source, arrivals[i].excess_m) if there else (NOTHING, 0.0)
 
 
-@jit(forceinline=True)  # a third of the time of a signal otherwise
+@jit(forceinline=True)  # calls cost a third of the time of a signal
 def track(rules, wavelength, chip, bands, edge, chance, memory, count, work):  # type: ignore[no-untyped-def]
     """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate,
     and the present power over that of an unobstructed signal [dB].

@@ -143,8 +143,8 @@ def sense(  # type: ignore[no-untyped-def]
         )  # fmt: skip
         observe_vehicle(
             par.gnss, areas.sites[a], areas.slow[a], sensors.held[v], sensors.receivers[v], sensors.signals[v],
-            ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), sky.los[k],
-            sky.above[k], sky.system, reception, truth, effects[v], moved[v], signals[v], out, work[0],
+            ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), sky,
+            reception, truth, effects[v], moved[v], signals[v], out, work[0],
         )  # fmt: skip
         imu_kernel.measure(par.imu, sensors.inertial[v], z.imu, truth, moved[v].gyro_bias_radps, out)
         odometer_kernel.measure(par.odometer, sensors.wheels[v], z.odometer, truth.distance, moved[v], out)

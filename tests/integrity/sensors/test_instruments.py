@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from lanebound.integrity.sensors.corrections_kernel import receive
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sensors.gnss import observe
 from lanebound.integrity.sensors.imu import sample_imu
+from lanebound.integrity.sensors.instruments import observed
 from lanebound.integrity.sensors.odometer import sample_odometer
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
@@ -154,3 +155,33 @@ def test_measuring_an_epoch_twice_from_a_copy_gives_the_same_bits() -> None:
     twin = copy.deepcopy(navigator)
     for k in range(25, 45):
         _assert_same(navigator.measure(_truth(k, 1)), twin.measure(_truth(k, 1)))
+
+
+def test_measurements_of_the_instruments_are_their_records_without_a_copy() -> None:
+    m = _navigator([4, 5]).measure(_truth(1, 2))
+    signals, vehicles = observed(m)
+    assert m.given is not None
+    assert (signals is m.given[0], vehicles is m.given[1]) == (True, True)
+    m.gnss.code_m[1, 2, 0] = 7.0
+    m.odometer.speed_mps[0] = -3.0
+    assert (signals["code"][1, 2, 0], vehicles["speed"][0]) == (7.0, -3.0)
+
+
+def test_measurements_of_ones_own_are_packed_as_they_now_are() -> None:
+    navigator = _navigator([4, 5])
+    m = [navigator.measure(_truth(k, 2)) for k in range(1, 4)][-1]
+    whole = observed(m)
+    cut = replace(m, gnss=replace(m.gnss, tracked=np.zeros_like(m.gnss.tracked), integer_error=None))
+    late = copy.deepcopy(m)
+    late.imu.delta_v_mps[:] = 5.0
+    turned = replace(m, sky=replace(m.sky, index=np.array([0, 0])))
+    for changed, differs in ((cut, {"tracked"}), (late, {"delta_v"}), (turned, set[str]())):
+        found = {
+            name
+            for one, other in zip(whole, observed(changed), strict=True)
+            for name in one.dtype.names or ()
+            if not np.array_equal(one[name], other[name])
+        }
+        assert found == differs
+    assert m.gnss.tracked.any()
+    assert whole[0]["tracked"].any()
