@@ -105,7 +105,7 @@ def coast_rows(first, last, rows, batch, motions, tracks):  # type: ignore[no-un
 def end_epoch(first, last, rows, batch, sensed, motions, down, times, truth):  # type: ignore[no-untyped-def]
     """A simulation step has passed that ends an epoch: the truth of the epoch, and the skies over the egos now.
 
-    ``down`` [m/s]: what gravity adds over an epoch; times: see :func:`sky_rows`; truth: TruthRows of N M vehicles.
+    ``down`` [m/s]: what gravity adds over an epoch; times: see :func:`sky_rows`; truth (N M,) TRUTH.
     """
     a, where, count = unbundle(batch), unbundle(sensed).where, motions.shape[1]
     for n in range(first, last):

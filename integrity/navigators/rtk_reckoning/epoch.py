@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numba
 
 from lanebound.integrity.core.compile_ahead import Ahead
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.navigators.rtk_reckoning import epoch_kernel as kernels
 from lanebound.integrity.navigators.rtk_reckoning.drift_stage_kernel import watch_drift
 from lanebound.integrity.navigators.rtk_reckoning.float_stage_kernel import add_to_filter
@@ -104,17 +105,22 @@ class EpochStages:
         if _ahead is None and self._faultless == [kernels.locate] and Ahead.helps([*PLAIN, kernels.locate]):
             _ahead = Ahead(PLAIN, (numba.int64, numba.int64, numba.typeof(make()))).start()
 
-    def for_epoch(self, epoch: Epoch) -> EpochCall:
-        """The stages of an epoch; integers are made wrong only where a fault asks for it."""
+    def for_epoch(self, observed: Records) -> EpochCall:
+        """The stages of an epoch, of which OBSERVED_VEHICLE (B,) is given; integers are made wrong only by a fault."""
         if _ahead is not None:
             _ahead.finish()
-        return EpochCall(self._every if epoch.observed["next_best"].any() else self._faultless)
+        return EpochCall(self._every if observed["next_best"].any() else self._faultless)
 
 
 class EpochCall(NamedTuple):
     """Stages that are called one after another."""
 
     stages: list[Any]
+
+    @property
+    def changes_signals(self) -> bool:
+        """Whether a stage may exclude satellites or make integers wrong: then it needs a copy of the measurements."""
+        return len(self.stages) > 1
 
     def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
         for stage in self.stages:
