@@ -18,8 +18,6 @@ from numba.core import types
 from lanebound.integrity.core import compile_ahead
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.compile_ahead import Ahead
-from lanebound.integrity.motion.truth import truth_between
-from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 
 SOURCE = """
 from lanebound.integrity.core.accel import jit
@@ -202,18 +200,3 @@ def test_no_second_process_for_kernels_that_it_would_not_find(kernels):
 def test_the_heaviest_kernels_come_first(kernels):
     assert Ahead(kernels, SIGNATURE)._heaviest_first == [0, 1, 2], "of one file: in their order"
     assert compile_ahead._source_bytes(kernels[0]) > len(SOURCE)
-
-
-def test_the_expected_types_are_those_of_an_epoch(monkeypatch):
-    navigator = Navigator.nominal(NavigatorConfig(), seeds=[1], duration_s=60.0)
-    seen = []
-    (chain,) = navigator._stages._parts
-
-    def spy(first, last, lasting, inputs):
-        seen.append(numba.typeof(chain._whole(*lasting.values, *inputs)))
-        chain(first, last, lasting, inputs)
-
-    monkeypatch.setattr(navigator._stages, "_parts", [spy])
-    rest = np.zeros((1, 2))
-    navigator.step(truth_between(0.1, 0.1, (rest, rest), (rest, rest), (np.zeros(1), np.zeros(1))))
-    assert seen == [numba.typeof(navigator._blank_epoch())]
