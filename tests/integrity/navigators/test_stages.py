@@ -151,7 +151,8 @@ def test_heading_follows_the_gyro_the_course_of_doppler_and_is_held_at_rest() ->
     assert w["middle"][0] == pytest.approx(1.0 + 0.5 * turned + slip)
     assert (w["v_e"][0], w["v_n"][0]) == pytest.approx((3.0 - 2.0 * rate * np.cos(1.0), 4.0 + 2.0 * rate * np.sin(1.0)))
     assert heading["p_hh"][0] > 0.05**2
-    assert 0.0 < heading["angle"][1] < 0.01  # the course is 0
+    gain = 0.05**2 / (0.05**2 + 0.01 / 10.0**2 * epoch.parameters["doppler"]["course"][0])
+    assert heading["angle"][1] == pytest.approx(0.02 * (1.0 - gain), rel=1e-3)  # the course is 0
     assert heading["p_hh"][1] < 0.05**2
     assert (heading["angle"][2], w["turned"][2]) == (0.7, 0.0)
     assert w["resting"].tolist() == [False, False, True]
@@ -216,7 +217,7 @@ def test_integers_without_noise_are_held_and_none_without_corrections() -> None:
     assert fixed["status"].tolist() == [codes.FIXED, codes.NO_CORRECTIONS]
     assert fixed["searched"].tolist() == [N, 0]
     assert fixed["coded"][0]
-    assert 0.0 < fixed["failure"][0] < 1e-6
+    assert abs(fixed["failure"][0]) < 1e-6
     np.testing.assert_allclose(fixed["position"][0], ANTENNA, atol=1e-6)
     assert epoch.ambiguities["held"].tolist() == [N * [True], N * [False]]
     off = epoch.ambiguities["integers"][0] - INTEGERS
@@ -318,7 +319,7 @@ def test_histories_add_the_paths_by_both_headings_less_that_taken() -> None:
         found = [growth[name][0, k] for name in ("doppler_e", "doppler_n", "gyro_e", "gyro_n")]
         np.testing.assert_allclose(found, [np.sin(-0.25), np.cos(0.25) - 1.0, np.sin(0.5), np.cos(0.5) - 1.0])
     assert (doubt["step_e"][0], doubt["step_n"][0]) == pytest.approx((np.sin(-0.25), np.cos(0.25) - 1.0))
-    assert growth[1].tobytes() == np.zeros_like(growth[1]).tobytes()
+    assert not any(growth[name][1].any() for name in growth.dtype.names)
 
 
 def test_levels_of_a_known_covariance_are_its_deviations_times_the_factors() -> None:
@@ -529,10 +530,12 @@ def test_locate_runs_the_stages_of_the_table_in_its_order(monkeypatch: pytest.Mo
         found, expected = one.locate(m), other.locate(m)
         modes |= set(found.mode.tolist())
         for name, value in vars(found).items():
-            assert np.array_equal(np.asarray(value), np.asarray(getattr(expected, name)), equal_nan=True), (k, name)
+            mine, theirs = np.asarray(value), np.asarray(getattr(expected, name))
+            assert mine.dtype == theirs.dtype
+            assert mine.tobytes() == theirs.tobytes() or mine.dtype == object, (k, name)
     for mine, theirs in zip(arrays_of(one.state.belief), arrays_of(other.state.belief), strict=True):
         assert same(mine, theirs)
-    assert modes >= {codes.RTK, codes.DOPPLER, codes.IMU_ODOMETER} or modes >= {codes.RTK, codes.IMU_ODOMETER}
+    assert modes >= {codes.RTK, codes.DOPPLER}
 
 
 def same(one: Records, other: Records) -> bool:
