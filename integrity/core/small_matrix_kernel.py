@@ -62,7 +62,7 @@ def multiply_3(matrix: Array, vector: Array, out: Array) -> None:
 
 @jit
 def hdop_of(rows: Records) -> float:
-    """HDOP ``sqrt(Q_EE + Q_NN)`` of the rows in use, ``Q`` from ``(G'G)^-1`` with a clock for each group; singular: inf.
+    """HDOP ``sqrt(Q_EE + Q_NN)`` of the rows in use, ``Q`` of ``(G'G)^-1`` with a clock for each group; singular: inf.
 
     rows (S,) of :data:`~lanebound.integrity.positioning.rows_kernel.ROW`, groups below MAX_GROUPS.
     """

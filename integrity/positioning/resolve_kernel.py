@@ -76,8 +76,8 @@ FIRST_SHARE = 0.5  # of the risk, for the set of all candidates; the rest is for
 class FloatSource(NamedTuple):
     """Where float ambiguities come from.
 
-    ``filtered``: from the filter ``own`` over epochs, None without one; otherwise from one epoch: its position ``x`` (3,) with covariance
-    ``q`` (3, 3), and the clocks ``base`` (MAX_GROUPS,) of BASE that the held satellites give.
+    ``filtered``: from the filter ``own`` over epochs, None without one; otherwise from one epoch: its position ``x``
+    (3,) with covariance ``q`` (3, 3), and the clocks ``base`` (MAX_GROUPS,) of BASE that the held satellites give.
     """
 
     x: Array
@@ -255,7 +255,7 @@ def relief(pull: Array, weight: Array, own: Array, column: Ints, columns: int) -
             for k in range(own.shape[0]):
                 h[column[i], column[k]] += own[i] * own[k] * weight[i, k]
     if columns == 1:
-        return g[0] * g[0] / h[0, 0]
+        return float(g[0] * g[0] / h[0, 0])
     inverse, norm = np.empty((columns, columns)), 0.0
     if not invert_positive(h, columns, inverse):
         return 0.0  # nothing tells the signals of this satellite apart

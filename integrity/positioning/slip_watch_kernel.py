@@ -167,8 +167,8 @@ def watch_slips(
 ) -> int:  # fmt: skip
     """Test all held carriers for slips since the last epoch, in place.
 
-    marks (S,) of MARK, rtk of RTK_RULES, slips of SLIP_RULES, watch of SLIP_WATCH. Returns how many were found; ``next_id`` and the numbers
-    after it name the repaired ones.
+    marks (S,) of MARK, rtk of RTK_RULES, slips of SLIP_RULES, watch of SLIP_WATCH. Returns how many were found;
+    ``next_id`` and the numbers after it name the repaired ones.
     """
     n_sat = marks.shape[0]
     rows, n = np.empty(n_sat, dtype=np.int64), 0

@@ -20,15 +20,12 @@ OBSERVED_SIGNAL = record(
 """A satellite's signal in an epoch, (B, S)."""
 
 OBSERVED_VEHICLE = record(
+    sight=("i8", "row of the directions to the satellites that this vehicle uses"),
     age="of the reference data, inf without data [s]",
     turn=("f8", (3,), "integrated angular rates, forward right down [rad]"),
     delta_v=("f8", (3,), "integrated specific force [m/s]"),
     speed="odometer, signed [m/s]",
     distance="odometer [m]",
-    next_best=(
-        "f8",
-        (2,),
-        "of a fault: rank of the wrong integers that are accepted, 0 for none; azimuth of their error",
-    ),
+    next_best=("f8", (2,), "of a fault: rank of the wrong integers accepted, 0 for none; their azimuth [rad]"),
 )
 """The rest of an epoch, (B,)."""

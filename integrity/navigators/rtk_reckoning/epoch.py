@@ -1,10 +1,16 @@
 """The epoch of ``rtk_reckoning``: one table of stages in their order, and the points where others attach."""
 
+# mypy: allow-untyped-calls
+
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numba
+
+from lanebound.integrity.core.compile_ahead import Ahead
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.navigators.rtk_reckoning import epoch_kernel as kernels
 from lanebound.integrity.navigators.rtk_reckoning.drift_stage_kernel import watch_drift
 from lanebound.integrity.navigators.rtk_reckoning.float_stage_kernel import add_to_filter
@@ -90,18 +96,31 @@ class EpochStages:
             at[Point.FIX].clear()
         self._every = _listed(at, modes, left_out)
         self._faultless = _listed(at, modes, left_out | {"wrong integers"})
-        if self._faultless == _listed({}, [kernels.advance_doppler, kernels.advance_imu_odometer], NOT_PLAIN):
+        if self._faultless == PLAIN:
             self._faultless = [kernels.locate]
 
-    def for_epoch(self, epoch: Epoch) -> EpochCall:
-        """The stages of an epoch; integers are made wrong only where a fault asks for it."""
-        return EpochCall(self._every if epoch.observed["next_best"].any() else self._faultless)
+    def compile_ahead(self, make: Callable[[], Epoch]) -> None:
+        """Begin to compile the plain epoch, in a second process too, if it is not cached; ``make`` returns an epoch."""
+        global _ahead
+        if _ahead is None and self._faultless == [kernels.locate] and Ahead.helps([*PLAIN, kernels.locate]):
+            _ahead = Ahead(PLAIN, (numba.int64, numba.int64, numba.typeof(make()))).start()
+
+    def for_epoch(self, observed: Records) -> EpochCall:
+        """The stages of an epoch, of which OBSERVED_VEHICLE (B,) is given; integers are made wrong only by a fault."""
+        if _ahead is not None:
+            _ahead.finish()
+        return EpochCall(self._every if observed["next_best"].any() else self._faultless)
 
 
 class EpochCall(NamedTuple):
     """Stages that are called one after another."""
 
     stages: list[Any]
+
+    @property
+    def changes_signals(self) -> bool:
+        """Whether a stage may exclude satellites or make integers wrong: then it needs a copy of the measurements."""
+        return len(self.stages) > 1
 
     def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
         for stage in self.stages:
@@ -122,6 +141,11 @@ def _listed(at: Mapping[Point, list[Any]], modes: list[Any], left_out: set[str])
         elif isinstance(part, Part) and part.name not in left_out:
             found.append(part.stage)
     return found
+
+
+PLAIN = _listed({}, [kernels.advance_doppler, kernels.advance_imu_odometer], NOT_PLAIN)
+"""The stages of :func:`~.epoch_kernel.locate`."""
+_ahead: Ahead | None = None  # of this process
 
 
 def carrier_stages(sequential: bool) -> list[Stage]:

@@ -25,7 +25,27 @@ from lanebound.integrity.navigators.rtk_reckoning.report_kernel import report, t
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
 from lanebound.integrity.navigators.rtk_reckoning.velocity_kernel import find_velocity
 
-__all__ = ["locate"]
+__all__ = [
+    "advance_doppler",
+    "advance_imu_odometer",
+    "advance_nothing",
+    "begin",
+    "find_attitude",
+    "find_fixed_position",
+    "find_levels",
+    "find_velocity",
+    "follow_carriers",
+    "follow_histories",
+    "judge_fix",
+    "judge_histories",
+    "locate",
+    "report",
+    "resolve_integers",
+    "separate_doppler",
+    "take_fix",
+    "watch_speeds",
+    "widen_levels",
+]
 
 
 @jit

@@ -158,7 +158,7 @@ def reference_point(fixed: Any, lever: Any, sin_h: float, cos_h: float) -> tuple
 
 @jit
 def _use_backup(
-    vehicle: Any, starts: Records, faults: Records, tables: Tables, par: Any, w: Any, found: Array, pl: Array
+    vehicle: Any, starts: Records, faults: Any, tables: Tables, par: Any, w: Any, found: Array, pl: Array
 ) -> None:
     """Return to the backup solution where it or the drift watch contradicts an RTK position that lasts.
 

@@ -36,6 +36,7 @@ from lanebound.integrity.positioning.float_filter_kernel import MEASURED, SLOT, 
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY
 from lanebound.integrity.sensors.finite import with_finite
+from lanebound.integrity.sensors.instruments import observed
 from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL, OBSERVED_VEHICLE
 
 __all__ = ["RtkReckoningNavigator"]
@@ -56,6 +57,7 @@ class RtkReckoningNavigator(Navigator):
         self._services = ServiceSet(self.config, self.track.system)
         self._stages = EpochStages(self.config, self._services)
         self._epoch: Epoch | None = None
+        self._stages.compile_ahead(lambda: blank_epoch(self._parameters, self._tables, self.initial_belief(1)))
 
     def initial_belief(self, batch: int) -> State:
         """Nothing is known but the bounds of the heading and of the gyro bias."""
@@ -109,9 +111,11 @@ class RtkReckoningNavigator(Navigator):
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
         m = with_finite(m)
-        epoch, states = self._epoch_of(self.state.belief), self._services.with_inputs(m, self.state.extensions)
-        observe(m, epoch.signals, epoch.observed)
-        stages = self._stages.for_epoch(epoch)
+        states, (signals, vehicles) = self._services.with_inputs(m, self.state.extensions), observed(m)
+        stages = self._stages.for_epoch(vehicles)
+        if stages.changes_signals:
+            signals = signals.copy()
+        epoch = self._epoch_of(self.state.belief)._replace(signals=signals, observed=vehicles)
         run_rows(stages, self.batch, epoch, states, row_us=LOCATE_US)
         return solution_of(m, epoch)
 
@@ -169,22 +173,6 @@ def blank_epoch(parameters: Records, tables: Tables, belief: State) -> Epoch:
         np.zeros(batch, WORK), np.zeros((batch, satellites), MARK), np.zeros((batch, cases, 2)), np.zeros(batch, OUT),
         np.full((batch, cases, 2), np.inf),
     )  # fmt: skip
-
-
-def observe(m: Measurements, signals: Records, vehicles: Records) -> None:
-    """Fill OBSERVED_SIGNAL (B, S) and OBSERVED_VEHICLE (B,) with measurements."""
-    g = m.gnss
-    signals["e"], signals["tracked"], signals["lock_lost"] = m.sky.los_enu[m.sky.index], g.tracked, g.lock_lost
-    signals["cn0"], signals["range_rate"] = g.cn0_dbhz, g.range_rate_mps
-    signals["code"], signals["phase"] = g.code_m, g.phase_m
-    signals["integer_error"] = 0 if g.integer_error is None else g.integer_error
-    vehicles["age"], vehicles["turn"], vehicles["delta_v"] = (
-        g.corrections_age_s,
-        m.imu.delta_theta_rad,
-        m.imu.delta_v_mps,
-    )
-    vehicles["speed"], vehicles["distance"] = m.odometer.speed_mps, m.odometer.distance_m
-    vehicles["next_best"] = 0.0 if g.next_best is None else g.next_best
 
 
 def solution_of(m: Measurements, epoch: Epoch) -> Solution:

@@ -72,7 +72,7 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
 
 @jit
 def lost_prior(prior: Array, faults: Records) -> float:
-    """Sum of the priors (M,) of modes that are LOST in the velocity, in the position since the fix or in the heading."""
+    """Sum of the priors (M,) of modes that are LOST in velocity, position since the fix or heading."""
     total = 0.0
     for k in range(faults.shape[0]):
         fault = faults[k]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.records import record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_upper
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import lever_bounds
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Epoch
@@ -56,7 +56,7 @@ class Aided(NamedTuple):
     prior (3, 3) information of the position reckoned on; inverse (3, 3) N^-1 and shift (3,) of the last solution.
     """
 
-    ranges: Records
+    ranges: Any
     prior: Array
     inverse: Array
     shift: Array
