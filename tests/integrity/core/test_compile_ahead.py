@@ -18,6 +18,10 @@ from numba.core import types
 from lanebound.integrity.core import compile_ahead
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.compile_ahead import Ahead
+from lanebound.integrity.motion.truth import truth_between
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.navigators.rtk_reckoning.epoch import EpochStages
+from lanebound.integrity.navigators.rtk_reckoning.epoch_kernel import locate
 
 SOURCE = """
 from lanebound.integrity.core.accel import jit
@@ -200,3 +204,18 @@ def test_no_second_process_for_kernels_that_it_would_not_find(kernels):
 def test_the_heaviest_kernels_come_first(kernels):
     assert Ahead(kernels, SIGNATURE)._heaviest_first == [0, 1, 2], "of one file: in their order"
     assert compile_ahead._source_bytes(kernels[0]) > len(SOURCE)
+
+
+def test_the_expected_types_are_those_of_an_epoch(monkeypatch):
+    made, seen = [], []
+
+    def spy(first, last, epoch):
+        seen.append(numba.typeof(epoch))
+        locate(first, last, epoch)
+
+    monkeypatch.setattr(EpochStages, "compile_ahead", lambda self, make: made.append(numba.typeof(make())))
+    navigator = Navigator.nominal(NavigatorConfig(), seeds=[1], duration_s=60.0)
+    monkeypatch.setattr(navigator._stages, "_faultless", [spy])
+    rest = np.zeros((1, 2))
+    navigator.step(truth_between(0.1, 0.1, (rest, rest), (rest, rest), (np.zeros(1), np.zeros(1))))
+    assert made[-1:] == seen

@@ -504,7 +504,7 @@ class Staged:
             elif isinstance(part, Part) and part.name not in NOT_PLAIN:
                 self.stages.append(part.stage)
 
-    def for_epoch(self, epoch: Epoch) -> EpochCall:
+    def for_epoch(self, observed: Records) -> EpochCall:
         return EpochCall(self.stages)
 
 
@@ -518,7 +518,7 @@ def test_locate_runs_the_stages_of_the_table_in_its_order(monkeypatch: pytest.Mo
     one, other = (
         Navigator(config, SkyTrack.from_config(config.sky, 30.0), SkyMask.open(), 3, batch, faults) for _ in range(2)
     )
-    assert one._stages.for_epoch(blank()).stages == [locate]
+    assert one._stages.for_epoch(blank().observed).stages == [locate]
     monkeypatch.setattr(other, "_stages", Staged())
     place, modes = np.zeros((batch, 2)), set()
     for k in range(120):
