@@ -67,9 +67,16 @@ def signals_of(reduced: Reduced, entries: Entries, rtk: RtkConfig) -> Signals:
     """The signals of one epoch."""
     at = entries.satellite, entries.column
     los, tracked, cn0 = np.ascontiguousarray(reduced.sight_enu[at[0]]), reduced.tracked[at], reduced.cn0_dbhz[at]
-    quality = np.empty(len(tracked))
-    weigh(los, tracked, cn0, rtk.cn0_knee_dbhz, quality)
+    quality = _weighed(los, tracked, cn0, rtk)
     return Signals(los, quality, tracked, cn0, reduced.code_m[at], reduced.phase_m[at], reduced.lost[at])
+
+
+def _weighed(los: Array, tracked: Bools, cn0: Array, rtk: RtkConfig) -> Array:
+    """Variance factors (N,) of signals."""
+    signals, marks = np.zeros(len(los), OBSERVED_SIGNAL), np.zeros(len(los), MARK)
+    signals["e"], signals["tracked"], signals["cn0"] = los, tracked, cn0
+    weigh(signals, rtk.cn0_knee_dbhz, marks)
+    return marks["quality"].copy()
 
 
 def code_rows(reduced: Reduced, los: Array, rtk: RtkConfig) -> tuple[Ints, Array, Array]:
@@ -81,14 +88,11 @@ def code_rows(reduced: Reduced, los: Array, rtk: RtkConfig) -> tuple[Ints, Array
     both = reduced.tracked[:, :2].all(-1)
     for columns, tracked in ((2, both), (1, np.ascontiguousarray(reduced.tracked[:, 0]))):
         cn0 = -10.0 * np.log10((10.0 ** (-0.1 * reduced.cn0_dbhz[:, :columns])).mean(-1))
-        signals, marks = np.zeros(len(los), OBSERVED_SIGNAL), np.zeros(len(los), MARK)
-        signals["e"], signals["tracked"], signals["cn0"] = los, tracked, cn0
-        weigh(signals, rtk.cn0_knee_dbhz, marks)
-        lowest = np.sin(np.deg2rad(rtk.elevation_mask_deg))
-        rows = np.flatnonzero(tracked & (los[:, 2] > lowest) & (cn0 >= rtk.cn0_min_dbhz))
+        quality, high = _weighed(los, tracked, cn0, rtk), los[:, 2] > np.sin(np.deg2rad(rtk.elevation_mask_deg))
+        rows = np.flatnonzero(tracked & high & (cn0 >= rtk.cn0_min_dbhz))
         if rows.size >= PLENTY:
             break
-    return rows, reduced.code_m[rows, :columns].mean(-1), marks["quality"][rows] * rtk.sigma_code_m**2 / columns
+    return rows, reduced.code_m[rows, :columns].mean(-1), quality[rows] * rtk.sigma_code_m**2 / columns
 
 
 class SlipComparison:
