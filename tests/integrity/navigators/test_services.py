@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from signal_records import records_of
+from signal_records import records_of, rows_of
 
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.motion.truth import truth_between
@@ -182,7 +182,7 @@ def test_the_zenith_delay_of_an_epoch_is_found_exactly() -> None:
     slant = np.array([troposphere_slant(s) for s in los[:, 2]])
     y = -los @ np.array([3.0, -2.0, 1.0]) + 0.123 * slant + np.where(system == 0, 50.0, -20.0)
     variance = rng.uniform(0.5, 2.0, 14)
-    found, value, spread = zenith_of_epoch(los, system, y, variance, used)
+    found, value, spread = zenith_of_epoch(rows_of(los, system, used, variance, y))
     assert found
     assert value == pytest.approx(0.123, abs=1e-9)
     design = np.column_stack([-los, slant, system == 0, system == 1])
