@@ -7,83 +7,78 @@ continuous, and its protection level is the solution's plus what has not yet fad
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.envs.batch.lanes_kernel import local, nearest, width_at
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import remainder, wrap
+from lanebound.integrity.core.records import record
 
-__all__ = ["Fixes", "adopt", "begin", "coast", "locate", "rates", "settle", "take", "take_given"]
+__all__ = ["FIX", "adopt", "begin", "coast", "locate", "rates", "settle", "take", "take_given"]
 
 ACCELERATION_S = 0.3  # time constant of the acceleration shown: ten odometer pulses at 10 m/s
 STANDSTILL_MPS = 0.05
 
-Array = NDArray[np.float64]
 
-
-class Fixes(NamedTuple):
-    """Solutions of B vehicles, (B,) and (B, 2): fields of ``Solution`` and of its ``context``."""
-
-    position_en_m: Array
-    heading_rad: Array
-    velocity_en_mps: Array
-    speed_mps: Array
-    pl_at_m: Array
-    pl_ct_m: Array
-    alert: NDArray[np.bool_]
-    available: NDArray[np.bool_]
-    reason: NDArray[np.int64]
-    mode: NDArray[np.int64]
-    rtk: NDArray[np.int64]
-    hdop: Array
-    satellites: NDArray[np.int64]
-    satellites_doppler: NDArray[np.int64]
-    excluded: NDArray[np.int64]
-    since_rtk_s: Array
-    since_calibration_s: Array
-    corrections_age_s: Array
-    context_warning: NDArray[np.bool_]
-    context_phases: NDArray[np.int64]
-    context_score: Array
-    link_probability: Array
-    model_curved: Array
-    nis_position: Array
-    nis_wheels: Array
-    nis_gyro: Array
-    nis_steering: Array
-    nis_slip: Array
-    nis_compass: Array
-    trust_m: Array
-    sdop: Array
-
-
-@jit(borrows=True)
-def adopt(t, b, fixes, v):  # type: ignore[no-untyped-def]
-    """Take over the solution of vehicle v, position and heading in the plane, into a track and a belief."""
-    t.x_m, t.y_m = fixes.position_en_m[v, 0], -fixes.position_en_m[v, 1]
-    t.fix_heading_rad = wrap(fixes.heading_rad[v] - 0.5 * math.pi)
-    t.fix_speed_mps, t.pl_at_m, t.pl_ct_m = fixes.speed_mps[v], fixes.pl_at_m[v], fixes.pl_ct_m[v]
-    t.alert, t.available, t.reason = fixes.alert[v], fixes.available[v], fixes.reason[v]
-    b.mode, b.rtk, b.hdop = fixes.mode[v], fixes.rtk[v], fixes.hdop[v]
-    b.satellites, b.satellites_doppler = fixes.satellites[v], fixes.satellites_doppler[v]
-    b.excluded, b.since_rtk_s = fixes.excluded[v], fixes.since_rtk_s[v]
-    b.since_calibration_s, b.corrections_age_s = fixes.since_calibration_s[v], fixes.corrections_age_s[v]
-    b.context_warning, b.context_phases = fixes.context_warning[v], fixes.context_phases[v]
-    b.context_score, b.link_probability = fixes.context_score[v], fixes.link_probability[v]
-    b.model_curved, b.trust_m, b.sdop = fixes.model_curved[v], fixes.trust_m[v], fixes.sdop[v]
-    b.nis_position, b.nis_wheels, b.nis_gyro = fixes.nis_position[v], fixes.nis_wheels[v], fixes.nis_gyro[v]
-    b.nis_steering, b.nis_slip, b.nis_compass = fixes.nis_steering[v], fixes.nis_slip[v], fixes.nis_compass[v]
+FIX = record(
+    position_en_m=("f8", (2,), "East, North"),
+    heading_rad="azimuth",
+    velocity_en_mps=("f8", (2,), "East, North"),
+    speed_mps="odometer, signed",
+    pl_at_m="inf without a level",
+    pl_ct_m="inf without a level",
+    alert=("?", "an alert is on"),
+    available=("?", "no level exceeds its limit"),
+    reason=("i8", "code of AlertReason"),
+    mode=("i8", "code of Mode"),
+    rtk=("i8", "code of RtkStatus"),
+    hdop="[-]",
+    satellites=("i8", "used by RTK"),
+    satellites_doppler=("i8", "used by the velocity"),
+    excluded=("i8", "by fault detection"),
+    since_rtk_s="inf before the first RTK position",
+    since_calibration_s="inf before the first calibration of the heading",
+    corrections_age_s="inf without data",
+    context_warning=("?", "the context monitor warns"),
+    context_phases=("i8", "phases passed, 0 to 3"),
+    context_score="0 to 100",
+    link_probability="of the matched link",
+    model_curved="of a filter",
+    nis_position="of a filter",
+    nis_wheels="of a filter",
+    nis_gyro="of a filter",
+    nis_steering="of a filter",
+    nis_slip="of a filter",
+    nis_compass="of a filter",
+    trust_m="of a filter",
+    sdop="[-]",
+)
+"""What the tracks take of a solution and of its context: fields of ``Solution`` and of ``ContextReport``."""
 
 
 @jit(borrows=True)
-def begin(t, b, fixes, v, shift_x, shift_y):  # type: ignore[no-untyped-def]
+def adopt(t, b, fix):  # type: ignore[no-untyped-def]
+    """Take over a solution, position and heading in the plane, into a track and a belief."""
+    t.x_m, t.y_m = fix.position_en_m[0], -fix.position_en_m[1]
+    t.fix_heading_rad = wrap(fix.heading_rad - 0.5 * math.pi)
+    t.fix_speed_mps, t.pl_at_m, t.pl_ct_m = fix.speed_mps, fix.pl_at_m, fix.pl_ct_m
+    t.alert, t.available, t.reason = fix.alert, fix.available, fix.reason
+    b.mode, b.rtk, b.hdop = fix.mode, fix.rtk, fix.hdop
+    b.satellites, b.satellites_doppler = fix.satellites, fix.satellites_doppler
+    b.excluded, b.since_rtk_s = fix.excluded, fix.since_rtk_s
+    b.since_calibration_s, b.corrections_age_s = fix.since_calibration_s, fix.corrections_age_s
+    b.context_warning, b.context_phases = fix.context_warning, fix.context_phases
+    b.context_score, b.link_probability = fix.context_score, fix.link_probability
+    b.model_curved, b.trust_m, b.sdop = fix.model_curved, fix.trust_m, fix.sdop
+    b.nis_position, b.nis_wheels, b.nis_gyro = fix.nis_position, fix.nis_wheels, fix.nis_gyro
+    b.nis_steering, b.nis_slip, b.nis_compass = fix.nis_steering, fix.nis_slip, fix.nis_compass
+
+
+@jit(borrows=True)
+def begin(t, b, fix, shift_x, shift_y):  # type: ignore[no-untyped-def]
     """Start a track at a first solution; ``shift`` [m] is the error of the ego's map."""
     t.residual_x_m = t.residual_y_m = t.yaw_rate_radps = t.acceleration_mps2 = 0.0
     t.map_x_m, t.map_y_m = shift_x, shift_y
-    adopt(t, b, fixes, v)
+    adopt(t, b, fix)
     t.heading_rad = t.fix_heading_rad
 
 
@@ -106,12 +101,12 @@ def rates(turned, speed, speed_before, acceleration, dt):  # type: ignore[no-unt
 
 
 @jit(borrows=True)
-def take(t, b, fixes, v, rules):  # type: ignore[no-untyped-def]
+def take(t, b, fix, rules):  # type: ignore[no-untyped-def]
     """A new solution, a simulation step after the pose was last carried on and an epoch after the last solution."""
     dt, start, heading, speed = rules.epoch_s, t.heading_rad, t.fix_heading_rad, t.fix_speed_mps
     coast(t, rules.step_s)
     x, y = t.x_m, t.y_m
-    adopt(t, b, fixes, v)
+    adopt(t, b, fix)
     jump_x, jump_y = t.x_m - x, t.y_m - y
     fade = math.exp(-dt / rules.smoothing_s) if rules.smoothing_s > 0.0 else 0.0
     if math.hypot(jump_x, jump_y) > rules.jump_m:

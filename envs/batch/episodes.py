@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch import rows_kernel as rk
 from lanebound.envs.batch import view_kernel as vk
-from lanebound.envs.batch.belief_kernel import Fixes
 from lanebound.envs.batch.lanes import LaneTable
 from lanebound.envs.batch.lanes_kernel import NONE
 from lanebound.envs.batch.navigation import NavigationBatch, Starts, fixes_of
@@ -239,7 +238,7 @@ class Episodes:
             return []
         return [(rk.give_rows, (rows, self.batch, float(self.rules["step_s"][0])))]
 
-    def epoch_links(self, rows: Rows, fixes: Fixes | None, time_s: Array, lies: Array | None = None) -> list[Any]:
+    def epoch_links(self, rows: Rows, fixes: Records | None, time_s: Array, lies: Array | None = None) -> list[Any]:
         """An epoch has been measured: the beliefs take its solutions over, and traffic is perceived."""
         at, batch = rows if self.navigation is None else self.navigation.at(rows), self.batch
         out: list[Any] = []

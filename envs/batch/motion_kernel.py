@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from lanebound.envs.batch.lanes_kernel import local
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
-from lanebound.integrity.motion.truth_kernel import EndRows, TrueMotion, between
+from lanebound.integrity.motion.truth_kernel import END, between
 
-__all__ = ["MOTION", "TruthRows", "Whereabouts", "advance", "begin_motion", "fill_motion", "fill_whereabouts"]
+__all__ = ["MOTION", "Whereabouts", "advance", "begin_motion", "fill_motion", "fill_whereabouts"]
 
 MOTION = record(
     position=("f8", (2,), "x, y now [m]"),
@@ -29,19 +29,6 @@ MOTION = record(
     start_velocity=("f8", (2,), "there [m/s]"),
     start_heading_rad="there",
 )
-
-
-class TruthRows(NamedTuple):
-    """The arrays of a Truth of B vehicles: (B, 3) but for heading, distance, arc and lane (B,)."""
-
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    heading: NDArray[np.float64]
-    turn: NDArray[np.float64]
-    delta_v: NDArray[np.float64]
-    distance: NDArray[np.float64]
-    arc: NDArray[np.float64]
-    lane: NDArray[np.int64]
 
 
 class Whereabouts(NamedTuple):
@@ -65,50 +52,43 @@ def advance(motion, x, y, heading):  # type: ignore[no-untyped-def]
     motion.heading_rad = heading
 
 
-@jit(borrows=True)
-def _ends_of(motions, step_s, ends, headings):  # type: ignore[no-untyped-def]
-    """Positions and velocities East, North (4, M, 2), azimuths (2, M) at both ends of an epoch; the next begins."""
-    for i in range(motions.shape[0]):
-        m = motions[i]
-        for k in range(2):
-            sign = 1.0 if k == 0 else -1.0
-            now = (1.5 * m.chord[k] - 0.5 * m.chord_before[k]) / step_s
-            ends[0, i, k], ends[1, i, k] = sign * m.start[k], sign * m.position[k]
-            ends[2, i, k], ends[3, i, k] = sign * m.start_velocity[k], sign * now
-            m.start[k], m.start_velocity[k] = m.position[k], now
-        headings[0, i], headings[1, i] = m.start_heading_rad + 0.5 * math.pi, m.heading_rad + 0.5 * math.pi
-        m.start_heading_rad = m.heading_rad
+@jit
+def _end(m, step_s, start, end):  # type: ignore[no-untyped-def]
+    """End an epoch of a vehicle (MOTION): where it has begun and where it ends (END); the next one begins."""
+    for k in range(2):
+        sign = 1.0 if k == 0 else -1.0  # from y, to the right, to North
+        now = (1.5 * m.chord[k] - 0.5 * m.chord_before[k]) / step_s
+        start.position[k], end.position[k] = sign * m.start[k], sign * m.position[k]
+        start.velocity[k], end.velocity[k] = sign * m.start_velocity[k], sign * now
+        m.start[k], m.start_velocity[k] = m.position[k], now
+    start.heading, end.heading = m.start_heading_rad + 0.5 * math.pi, m.heading_rad + 0.5 * math.pi
+    m.start_heading_rad = m.heading_rad
 
 
 @jit
 def fill_motion(motions, rows, step_s, down, truth):  # type: ignore[no-untyped-def]
     """Fill the motion of a Truth from the beginning of the epoch to now, where the next one begins.
 
-    motions (N, M) MOTION; ``truth`` has N M rows, of which those of environments ``rows`` are filled; ``down`` [m/s] is
-    what gravity adds.
+    motions (N, M) MOTION; ``truth`` (N M,) TRUTH, of which the rows of environments ``rows`` are filled; ``down`` [m/s]
+    is what gravity adds.
     """
-    count = motions.shape[1]
-    ends, headings = np.empty((4, count, 2)), np.empty((2, count))
+    count, ends = motions.shape[1], np.empty(2, END)
     for e in rows:
-        _ends_of(motions[e], step_s, ends, headings)
-        a, b = e * count, (e + 1) * count
-        out = TrueMotion(
-            truth.position[a:b], truth.velocity[a:b], truth.heading[a:b], truth.turn[a:b], truth.delta_v[a:b],
-            truth.distance[a:b],
-        )  # fmt: skip
-        between(EndRows(ends[0], ends[2], headings[0]), EndRows(ends[1], ends[3], headings[1]), down, out)
+        for i in range(count):
+            _end(motions[e, i], step_s, ends[0], ends[1])
+            between(ends[0], ends[1], down, truth[e * count + i])
 
 
 @jit(borrows=True)
 def fill_whereabouts(cars, lanes, where, e, first, count, truth):  # type: ignore[no-untyped-def]
-    """Fill arc and lane of the ``count`` navigating vehicles of environment e, rows from ``first`` on of a Truth."""
+    """Fill arc and lane of the ``count`` navigating vehicles of environment e, from row ``first`` of TRUTH on."""
     for v in range(cars.present[e]):
         i = 0 if v == 0 else cars.slot[e, v] + 1
         if (v == 0 or i > 0) and i < count:
             n = cars.lane[e, v]
             s, _, _ = local(lanes, n, cars.x[e, v], cars.y[e, v])
-            truth.arc[first + i] = where.city[e] + where.begin[n] + min(max(s, 0.0), where.reach[n])
-            truth.lane[first + i] = lanes.table[n].side
+            truth[first + i].arc = where.city[e] + where.begin[n] + min(max(s, 0.0), where.reach[n])
+            truth[first + i].lane = lanes.table[n].side
 
 
 @jit(borrows=True)

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.batch import rows_kernel as rk
-from lanebound.envs.batch.belief_kernel import Fixes
+from lanebound.envs.batch.belief_kernel import FIX
 from lanebound.envs.batch.lanes_kernel import Lanes
-from lanebound.envs.batch.motion_kernel import MOTION, TruthRows, Whereabouts, begin_motion, fill_motion
+from lanebound.envs.batch.motion_kernel import MOTION, Whereabouts, begin_motion, fill_motion
 from lanebound.envs.batch.records_kernel import Cars
 from lanebound.envs.batch.skies import Cities, Skies
 from lanebound.envs.batch.sky_ahead_kernel import Forecast, SkyRows
@@ -30,6 +30,7 @@ from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.motion.truth import Truth
+from lanebound.integrity.motion.truth_kernel import TRUTH
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, Start
 from lanebound.integrity.navigators.solution import ContextReport, Solution
 from lanebound.integrity.positioning.map_matching.road_map import RoadMap
@@ -41,7 +42,7 @@ Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 OF_CONTEXT = ContextReport._fields[:4]
-OF_SOLUTION = tuple(name for name in Fixes._fields if name not in OF_CONTEXT)
+OF_SOLUTION = tuple(name for name in FIX.names or () if name not in OF_CONTEXT)
 HEARD_S = 0.6  # of the approach with the radio on: the longest delay of a message
 FLEET_SEEDS = 2**62
 FLEET_STARTS = 2  # draws of the others' first positions: as they enter the world, and again for their approach
@@ -85,11 +86,14 @@ def fleet_generator(seed: int) -> np.random.Generator:
     return named_generator(seed, "start")
 
 
-def fixes_of(solution: Solution) -> Fixes:
-    """The fields of a solution that kernels read."""
-    context = solution.context or ContextReport.none(solution.batch)
-    given = {name: getattr(solution, name) for name in OF_SOLUTION}
-    return Fixes(**given, **{name: getattr(context, name) for name in OF_CONTEXT})
+def fixes_of(solution: Solution) -> Records:
+    """FIX (B,) of a solution."""
+    context, out = solution.context or ContextReport.none(solution.batch), np.empty(solution.batch, FIX)
+    for name in OF_SOLUTION:
+        out[name] = getattr(solution, name)
+    for name in OF_CONTEXT:
+        out[name] = getattr(context, name)
+    return out
 
 
 @dataclass(frozen=True)
@@ -231,7 +235,7 @@ class NavigationBatch:
     ) -> Approach:  # fmt: skip
         """Drive all vehicles straight up to their starts, an epoch after another."""
         every, size, steps = np.arange(rows.size), motions.size, self.epochs_before * self.steps
-        truth, heard = _truth_rows(size), list[tuple[float, Solution]]()
+        truth, heard = np.zeros(size, TRUTH), list[tuple[float, Solution]]()
         end, ahead = np.zeros((2, *motions.shape, 2))
         before_s = self.epochs_before * self.epoch_s
         begin_motion(
@@ -282,10 +286,10 @@ class NavigationBatch:
         """A simulation step has passed that ends no epoch, as a link."""
         return rk.coast_rows, (rows, batch, self.motions, tracks)
 
-    def epoch_link(self, rows: Rows, batch: Records) -> tuple[Any, TruthRows]:
+    def epoch_link(self, rows: Rows, batch: Records) -> tuple[Any, Records]:
         """A simulation step has passed that ends an epoch, as a link, and the truth that it fills."""
         self._age += 1
-        truth, times = _truth_rows(self.motions.size), (self._hour, self.clock_s)
+        truth, times = np.zeros(self.motions.size, TRUTH), (self._hour, self.clock_s)
         return (rk.end_epoch, (rows, batch, self.sensed.handle, self.motions, self._down, times, truth)), truth
 
     def navigate(self, rows: Rows, batch: Records) -> Solution:
@@ -294,13 +298,13 @@ class NavigationBatch:
         kernel(0, rows.size, *arguments)
         return self.locate(truth)
 
-    def locate(self, truth: TruthRows) -> Solution:
+    def locate(self, truth: Records) -> Solution:
         """Measure an epoch, and locate all vehicles by the measurements alone."""
         clock = self._clock_s(self.navigator.epoch + 1 - self._epochs_at_start)
         return self._locate(self.navigator, truth, self.view(), clock)
 
-    def _locate(self, navigator: Navigator, truth: TruthRows, sky: Any, clock_s: float) -> Solution:
-        self.measurements = navigator.measure(Truth(clock_s, self.epoch_s, *truth), sky)
+    def _locate(self, navigator: Navigator, truth: Records, sky: Any, clock_s: float) -> Solution:
+        self.measurements = navigator.measure(Truth.of(clock_s, self.epoch_s, truth), sky)
         return navigator.solve(self.measurements)
 
     def view(self) -> Any:
@@ -363,12 +367,6 @@ def _present(rows: Rows, cars: Cars, vehicles: int) -> Flags:
         slots = cars.slot[e, 1 : cars.present[e]]
         there[n, 0], there[n, slots[(slots >= 0) & (slots < vehicles - 1)] + 1] = True, True
     return there
-
-
-def _truth_rows(count: int) -> TruthRows:
-    position, velocity, turn, delta_v = np.zeros((4, count, 3))
-    heading, distance, arc = np.zeros((3, count))
-    return TruthRows(position, velocity, heading, turn, delta_v, distance, arc, np.zeros(count, dtype=np.int64))
 
 
 def _size_of(state: object) -> int:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch import perception_kernel as pk
 from lanebound.envs.batch import rows_kernel as rk
-from lanebound.envs.batch.belief_kernel import Fixes
 from lanebound.envs.batch.records_kernel import PERCEIVED, Cars
 from lanebound.envs.perception import PerceptionConfig
 from lanebound.integrity.core import streams_kernel as sk
@@ -163,7 +162,7 @@ class PerceptionBatch:
         p.slots[0, slot] = key, length_m, width_m
 
     def links(
-        self, rows: Rows, at: Rows, time_s: Array, fixes: Fixes | None, batch: Records, lies: Array | None = None
+        self, rows: Rows, at: Rows, time_s: Array, fixes: Records | None, batch: Records, lies: Array | None = None
     ) -> list[Any]:
         """One epoch of the egos ``rows`` (n,), as links.
 

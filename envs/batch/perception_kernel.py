@@ -137,14 +137,14 @@ def forget_slot(radio, tracks, e, slot):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def claim(solution, v, c):  # type: ignore[no-untyped-def]
-    """What the vehicle of row v of a solution would broadcast, in the plane."""
-    east, north = solution.velocity_en_mps[v, 0], solution.velocity_en_mps[v, 1]
-    azimuth = math.atan2(east, north) if solution.speed_mps[v] > COURSE_FROM_MPS else solution.heading_rad[v]
-    c.x_m, c.y_m = solution.position_en_m[v, 0], -solution.position_en_m[v, 1]
-    c.heading_rad, c.speed_mps = azimuth - 0.5 * math.pi, solution.speed_mps[v]
-    c.pl_at_m, c.pl_ct_m = solution.pl_at_m[v], solution.pl_ct_m[v]
-    c.sends = 1 if solution.mode[v] != 0 else 0
+def claim(fix, c):  # type: ignore[no-untyped-def]
+    """What a vehicle of this solution would broadcast, in the plane."""
+    east, north = fix.velocity_en_mps[0], fix.velocity_en_mps[1]
+    azimuth = math.atan2(east, north) if fix.speed_mps > COURSE_FROM_MPS else fix.heading_rad
+    c.x_m, c.y_m = fix.position_en_m[0], -fix.position_en_m[1]
+    c.heading_rad, c.speed_mps = azimuth - 0.5 * math.pi, fix.speed_mps
+    c.pl_at_m, c.pl_ct_m = fix.pl_at_m, fix.pl_ct_m
+    c.sends = 1 if fix.mode != 0 else 0
 
 
 @jit(borrows=True)

@@ -105,7 +105,7 @@ def coast_rows(first, last, rows, batch, motions, tracks):  # type: ignore[no-un
 def end_epoch(first, last, rows, batch, sensed, motions, down, times, truth):  # type: ignore[no-untyped-def]
     """A simulation step has passed that ends an epoch: the truth of the epoch, and the skies over the egos now.
 
-    ``down`` [m/s]: what gravity adds over an epoch; times: see :func:`sky_rows`; truth: TruthRows of N M vehicles.
+    ``down`` [m/s]: what gravity adds over an epoch; times: see :func:`sky_rows`; truth (N M,) TRUTH.
     """
     a, where, count = unbundle(batch), unbundle(sensed).where, motions.shape[1]
     for n in range(first, last):
@@ -130,7 +130,7 @@ def begin_rows(first, last, rows, at, fixes, shift, tracks, batch):  # type: ign
     a = unbundle(batch)
     for n in range(first, last):
         t, b = tracks[rows[n]], a.ego.belief[rows[n]]
-        begin(t, b, fixes, at[n], shift[n, 0], shift[n, 1])
+        begin(t, b, fixes[at[n]], shift[n, 0], shift[n, 1])
         settle(t, b, a.lanes, 0.0, a.rules[0])
 
 
@@ -140,7 +140,7 @@ def take_rows(first, last, rows, at, fixes, tracks, batch):  # type: ignore[no-u
     a = unbundle(batch)
     for n in range(first, last):
         t, b = tracks[rows[n]], a.ego.belief[rows[n]]
-        take(t, b, fixes, at[n], a.rules[0])
+        take(t, b, fixes[at[n]], a.rules[0])
         settle(t, b, a.lanes, a.rules[0].step_s, a.rules[0])
 
 
@@ -164,7 +164,7 @@ def hear_rows(first, last, rows, at, fixes, batch, time, u, lies):  # type: igno
     for n in range(first, last):
         e = rows[n]
         for i in range(p.spoken.shape[1]):
-            claim(fixes, at[n] + 1 + i, p.spoken[e, i])
+            claim(fixes[at[n] + 1 + i], p.spoken[e, i])
         hear(p.picture[e], p.radio, e, p.of_radio[0], time[n], p.spoken[e], cars_of(a.cars, e), u[n], lies)
 
 

@@ -159,8 +159,7 @@ def run_rows(kernel: Any, rows: int, *arguments: Any, row_us: float) -> None:
     """Call ``kernel(first, last, *arguments)`` for all rows, in one call or in pieces on several threads.
 
     The only place where rows are handed to threads, which costs about 40 us. Several kernels share one call as one
-    callable: :func:`call_links` for kernels with arguments of their own, and
-    :class:`~lanebound.integrity.core.chain_kernel.Chain` for kernels that all take the same data.
+    callable: :func:`call_links` for kernels with arguments of their own.
 
     There are more pieces than threads: if another process delays one thread, the other threads process its pieces. The
     result does not depend on the number of threads, because rows are independent of each other.

@@ -1,4 +1,4 @@
-"""A second process that compiles kernels of a chain while this process compiles others.
+"""A second process that compiles some kernels while this process compiles others.
 
 Numba compiles under one lock, so that threads do not help. The second process compiles into the cache on disk, where
 this process finds the result. Both take kernels from one list: this process in the order in which it calls them, the

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["Records", "one_record", "record"]
+__all__ = ["Records", "one_record", "packed", "record"]
 
 Records = NDArray[np.void]
 """A structured array."""
@@ -51,4 +51,15 @@ def one_record(kind: DTypeLike, **values: Any) -> Records:
         raise TypeError(f"values must be given for {sorted(names)}, got {sorted(values)}")
     for name, value in values.items():
         out[name] = value
+    return out
+
+
+def packed(kind: np.dtype[np.void], given: Records | None, **arrays: NDArray[Any]) -> Records:
+    """The records with these arrays as fields: ``given``, where the arrays are its fields, else a packed copy."""
+    if given is not None and all(array.base is given for array in arrays.values()):
+        return given
+    name, first = next(iter(arrays.items()))
+    out = np.zeros(first.shape[: first.ndim - kind[name].ndim], kind)
+    for name, array in arrays.items():
+        out[name] = array
     return out

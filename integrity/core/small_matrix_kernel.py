@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records
 
 __all__ = ["MAX_GROUPS", "cholesky_2", "hdop_of", "invert_3x3", "invert_upper", "multiply_3"]
 
@@ -17,7 +18,7 @@ MAX_GROUPS = 8  # clocks of a receiver
 SINGULAR_BELOW = 1e-12  # limit of the determinant after scaling to a unit diagonal, and of the ratio in the diagonal
 
 
-@jit(borrows=True)
+@jit
 def cholesky_2(a: float, b: float, c: float) -> tuple[float, float, float]:
     """``l_11, l_21, l_22`` of [[a, b], [b, c]] = L L'; zeros where a is not positive."""
     if not a > 0.0:
@@ -60,28 +61,28 @@ def multiply_3(matrix: Array, vector: Array, out: Array) -> None:
 
 
 @jit
-def hdop_of(e: Array, group: NDArray[np.int64], member: NDArray[np.bool_]) -> float:
-    """HDOP ``sqrt(Q_EE + Q_NN)`` of the members, ``Q`` from ``(G'G)^-1`` with one clock for each group; singular: inf.
+def hdop_of(rows: Records) -> float:
+    """HDOP ``sqrt(Q_EE + Q_NN)`` of the rows in use, ``Q`` of ``(G'G)^-1`` with a clock for each group; singular: inf.
 
-    e (S, 3) unit vectors in ENU, group (S,) below MAX_GROUPS, member (S,) bool.
+    rows (S,) of :data:`~lanebound.integrity.positioning.rows_kernel.ROW`, groups below MAX_GROUPS.
     """
     mean = np.zeros((MAX_GROUPS, 4))
-    for s in range(e.shape[0]):
-        if member[s]:
-            row = mean[group[s]]
-            row[0] += e[s, 0]
-            row[1] += e[s, 1]
-            row[2] += e[s, 2]
+    for s in range(rows.shape[0]):
+        if rows[s].used:
+            row, e = mean[rows[s].group], rows[s].e
+            row[0] += e[0]
+            row[1] += e[1]
+            row[2] += e[2]
             row[3] += 1.0
     for k in range(MAX_GROUPS):
         row = mean[k]
         if row[3] > 0.0:
             row[0], row[1], row[2] = row[0] / row[3], row[1] / row[3], row[2] / row[3]
     a, b, c, d, f, g = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for s in range(e.shape[0]):
-        if member[s]:
-            row = mean[group[s]]
-            x, y, z = e[s, 0] - row[0], e[s, 1] - row[1], e[s, 2] - row[2]
+    for s in range(rows.shape[0]):
+        if rows[s].used:
+            row, e = mean[rows[s].group], rows[s].e
+            x, y, z = e[0] - row[0], e[1] - row[1], e[2] - row[2]
             a += x * x
             b += x * y
             c += x * z

@@ -21,7 +21,7 @@ from lanebound.integrity.core import streams_kernel as sk
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.seeding_kernel import fill_words
 
-__all__ = ["STREAM_NAMES", "ZIGGURAT", "Streams", "named_generator", "named_states"]
+__all__ = ["EVERY_PLACE", "STREAM_NAMES", "ZIGGURAT", "Streams", "named_generator", "named_states"]
 
 STREAM_NAMES = (
     "traffic", "gnss", "clock", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene",
@@ -115,6 +115,14 @@ class Streams:
             self._require_undrawn(name, self._generators)
             found = self._states[name] = named_states(self._seeds, name)
         return found
+
+    def together(self, names: Sequence[str]) -> NDArray[np.uint64]:
+        """:meth:`states` of several streams as one array (streams, n, 4), in whose rows they stay."""
+        block = self.states(names[0]).base
+        if block is None or len(block) != len(names):  # not yet, or a copy of such an array
+            block = np.array([self.states(name) for name in names])
+            self._states.update(zip(names, block, strict=True))
+        return block
 
     @property
     def draws_by_row(self) -> bool:

@@ -35,7 +35,7 @@ ALERT_RULES = record(
 """AlertConfig as the kernel takes it."""
 
 
-@jit(borrows=True)
+@jit
 def find_reason(
     cause: int, pl_at: float, pl_ct: float, sigma_at: float, sigma_ct: float, scale: float, rules: Any
 ) -> int:
@@ -54,7 +54,7 @@ def find_reason(
     return NONE
 
 
-@jit(borrows=True)
+@jit
 def alert_step(
     cause: int, pl_at: float, pl_ct: float, sigma_at: float, sigma_ct: float, dt: float, rules: Any, state: Any
 ) -> bool:

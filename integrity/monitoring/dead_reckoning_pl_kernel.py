@@ -96,7 +96,7 @@ STEP = record(
 """What an epoch does to all error processes."""
 
 
-@jit(borrows=True)
+@jit
 def reset(cov_ee: float, cov_en: float, cov_nn: float, bias_e: float, bias_n: float, g: Any) -> None:
     """An RTK fix: its covariance [m^2] and bias bounds [m] replace all that had accumulated."""
     g.p_ee, g.p_en, g.p_nn = cov_ee, cov_en, cov_nn
@@ -111,14 +111,14 @@ def reset(cov_ee: float, cov_en: float, cov_nn: float, bias_e: float, bias_n: fl
     g.doppler_e, g.doppler_n, g.gyro_e, g.gyro_n = 0.0, 0.0, 0.0, 0.0
 
 
-@jit(borrows=True)
+@jit
 def remember_velocity(q_ee: float, q_en: float, q_nn: float, g: Any) -> None:
     """Store this epoch's Doppler covariance [m^2/s^2] for the next trapezoid; all zero when there was no velocity."""
     g.have_l, g.l_s = q_ee > 0.0, 0.0
     g.l_ee, g.l_ne, g.l_nn = cholesky_2(q_ee, q_en, q_nn)
 
 
-@jit(borrows=True)
+@jit
 def _decay(step: Any, g: Any) -> None:
     """One epoch of the error processes that do not move the position; a course calibrates with ``a (n + w)``."""
     turn = step.turn
@@ -142,14 +142,14 @@ def _decay(step: Any, g: Any) -> None:
     g.gs_n += turn.k_s * (by_n - seen_n)
 
 
-@jit(borrows=True)
+@jit
 def step_still(step: Any, g: Any) -> None:
     """An epoch at rest: the position error does not grow, its correlations fade."""
     g.have_l = False
     _decay(step, g)
 
 
-@jit(borrows=True)
+@jit
 def step_doppler(step: Any, q_ee: float, q_en: float, q_nn: float, bias: float, g: Any) -> None:
     """``p += dt/2 (v_{t-1} + v_t)`` (S1 eq 20), or ``p += dt v_t`` when the previous epoch had no velocity.
 
@@ -195,7 +195,7 @@ def step_doppler(step: Any, q_ee: float, q_en: float, q_nn: float, bias: float, 
     g.nn_n += phi * k_nn + fresh * m_nn
 
 
-@jit(borrows=True)
+@jit
 def step_odometer(
     step: Any, speed: float, sin_h: float, cos_h: float, sigma: float, bias: float, heading_bias: float, g: Any
 ) -> None:
@@ -246,7 +246,7 @@ def step_odometer(
     g.od_n += along_n * sigma
 
 
-@jit(borrows=True)
+@jit
 def _bow(run_e: float, run_n: float, variance: float, bound: float, g: Any) -> None:
     """Add a path (run_e, run_n) [m] along a heading of an error with this variance [rad^2] and bound [rad]."""
     product = math.sqrt(variance) * bound
@@ -260,7 +260,7 @@ def _bow(run_e: float, run_n: float, variance: float, bound: float, g: Any) -> N
     g.bow_bb_n += 0.5 * run_n * bound * bound
 
 
-@jit(borrows=True)
+@jit
 def shortened(sine: float, cosine: float, k: float, g: Any) -> float:
     """Bound on the axis (sine, cosine) of how much wrong headings have shortened the path [m].
 
@@ -273,7 +273,7 @@ def shortened(sine: float, cosine: float, k: float, g: Any) -> float:
     return float(abs(sine) * east + abs(cosine) * north)
 
 
-@jit(borrows=True)
+@jit
 def sigma_and_bias(sin_h: float, cos_h: float, published: bool, g: Any) -> tuple[float, float, float, float]:
     """``sigma_AT, sigma_CT, B_AT, B_CT`` [m] along the heading (S1 eq 16, 18-19).
 

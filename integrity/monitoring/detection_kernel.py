@@ -24,12 +24,10 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3
-from lanebound.integrity.positioning.rows_kernel import Rows
 
-__all__ = ["FDE_RULES", "Thresholds", "detect_and_exclude"]
+__all__ = ["FDE_RULES", "LIMIT", "Thresholds", "detect_and_exclude"]
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CLEAN, EXCLUDED, UNRESOLVED, NO_REDUNDANCY, SINGULAR = 0, 1, 2, 3, 4  # codes of FdeOutcome
 
@@ -54,35 +52,42 @@ GROUP = record(
 )
 
 
-class Thresholds(NamedTuple):
-    """Thresholds of the tests; the first axis is the redundancy (global_chi2), or the number of tests or redundancy.
+LIMIT = record(
+    overall="of the global test, by the redundancy [-]",
+    local="of the w-statistic of one row, by the number of tests or by the redundancy [-]",
+    counted="the global threshold that protection levels count on [-]",
+    published=("f8", (2,), "S1's factor of the separation, by the number of fault modes [-]"),
+)
+"""Thresholds by number."""
 
-    global_chi2 (N + 1,); local (N + 1,) of the w-statistic of one row; factor (N + 1, R) of the normalised separation
-    of a mode by its rank, the last column for all higher ranks; chi2 (N + 1, C) of the statistic T of a mode by its
-    rank, which only modes of several rows need.
+
+class Thresholds(NamedTuple):
+    """Thresholds of the tests; the first axis is the redundancy, or the number of tests.
+
+    limits (N + 1,) of LIMIT; factor (N + 1, K) of the normalised separation of a mode by its rank, the last column for
+    all higher ranks; chi2 (N + 1, C) of the statistic T of a mode by its rank, which only modes of several rows need.
     """
 
-    global_chi2: Array
-    local: Array
+    limits: Records
     factor: Array
     chi2: Array
 
 
-@jit(borrows=True)
-def _centre_groups(rows: Rows, groups: Records) -> tuple[int, int]:
+@jit
+def _centre_groups(rows: Records, groups: Records) -> tuple[int, int]:
     """Weighted means of each group (MAX_CLOCKS,) of GROUP; returns the rows and groups in use."""
-    los, group, variance, y, used = rows
     count, present = 0, 0
     for g in range(groups.shape[0]):
         mean = groups[g]
         mean.e[0], mean.e[1], mean.e[2], mean.y, mean.weight = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(y.size):
-        if used[i]:
-            mean, w = groups[group[i]], 1.0 / variance[i]
-            mean.e[0] += w * los[i, 0]
-            mean.e[1] += w * los[i, 1]
-            mean.e[2] += w * los[i, 2]
-            mean.y += w * y[i]
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        if row.used:
+            mean, w = groups[row.group], 1.0 / row.variance
+            mean.e[0] += w * row.e[0]
+            mean.e[1] += w * row.e[1]
+            mean.e[2] += w * row.e[2]
+            mean.y += w * row.y
             mean.weight += w
             count += 1
     for g in range(groups.shape[0]):
@@ -96,16 +101,16 @@ def _centre_groups(rows: Rows, groups: Records) -> tuple[int, int]:
     return count, present
 
 
-@jit(borrows=True)
-def _normal_equations(rows: Rows, groups: Records, A: Array, b: Array) -> None:
+@jit
+def _normal_equations(rows: Records, groups: Records, A: Array, b: Array) -> None:
     """``A = sum w z z'``, its upper triangle, and ``b = -sum w z (y - mean)`` of the rows in use."""
-    los, group, variance, y, used = rows
     a00, a01, a02, a11, a12, a22, b0, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(y.size):
-        if used[i]:
-            mean, w = groups[group[i]], 1.0 / variance[i]
-            z0, z1, z2 = los[i, 0] - mean.e[0], los[i, 1] - mean.e[1], los[i, 2] - mean.e[2]
-            w0, w1, w2, r = w * z0, w * z1, w * z2, y[i] - mean.y
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        if row.used:
+            mean, w = groups[row.group], 1.0 / row.variance
+            z0, z1, z2 = row.e[0] - mean.e[0], row.e[1] - mean.e[1], row.e[2] - mean.e[2]
+            w0, w1, w2, r = w * z0, w * z1, w * z2, row.y - mean.y
             a00, a01, a02, a11, a12, a22 = (
                 a00 + w0 * z0, a01 + w0 * z1, a02 + w0 * z2, a11 + w1 * z1, a12 + w1 * z2, a22 + w2 * z2,
             )  # fmt: skip
@@ -114,32 +119,31 @@ def _normal_equations(rows: Rows, groups: Records, A: Array, b: Array) -> None:
     b[0], b[1], b[2] = b0, b1, b2
 
 
-@jit(borrows=True)
-def _remove_row(i: int, rows: Rows, mean: Any, A: Array, b: Array) -> None:
-    """Downdate the upper triangle of A and b by row ``i`` of the group with this mean."""
-    los, _, variance, y, _ = rows
-    w = 1.0 / variance[i]
+@jit
+def _remove_row(row: Any, mean: Any, A: Array, b: Array) -> None:
+    """Downdate the upper triangle of A and b by a row of the group with this mean."""
+    w = 1.0 / row.variance
     factor = w * mean.weight / (mean.weight - w)
     for p in range(3):
-        zp = factor * (los[i, p] - mean.e[p])
-        b[p] += zp * (y[i] - mean.y)
+        zp = factor * (row.e[p] - mean.e[p])
+        b[p] += zp * (row.y - mean.y)
         for q in range(p, 3):
-            A[p, q] -= zp * (los[i, q] - mean.e[q])
+            A[p, q] -= zp * (row.e[q] - mean.e[q])
 
 
-@jit(borrows=True)
-def _worst_row(rows: Rows, groups: Records, Q: Array, x: Array) -> tuple[float, float, int]:
+@jit
+def _worst_row(rows: Records, groups: Records, Q: Array, x: Array) -> tuple[float, float, int]:
     """Global statistic, largest absolute w-statistic and its row (-1: none can be checked)."""
-    los, group, variance, y, used = rows
     total, largest, at = 0.0, 0.0, -1
     q00, q11, q22, q01, q02, q12 = Q[0, 0], Q[1, 1], Q[2, 2], 2.0 * Q[0, 1], 2.0 * Q[0, 2], 2.0 * Q[1, 2]
     x0, x1, x2 = x[0], x[1], x[2]
-    for i in range(y.size):
-        if not used[i]:
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        if not row.used:
             continue
-        mean, w = groups[group[i]], 1.0 / variance[i]
-        z0, z1, z2 = los[i, 0] - mean.e[0], los[i, 1] - mean.e[1], los[i, 2] - mean.e[2]
-        r = y[i] - mean.y + z0 * x0 + z1 * x1 + z2 * x2
+        mean, w = groups[row.group], 1.0 / row.variance
+        z0, z1, z2 = row.e[0] - mean.e[0], row.e[1] - mean.e[1], row.e[2] - mean.e[2]
+        r = row.y - mean.y + z0 * x0 + z1 * x1 + z2 * x2
         square = w * r * r
         total += square
         leverage = z0 * (q00 * z0 + q01 * z1 + q02 * z2) + z1 * (q11 * z1 + q12 * z2) + q22 * z2 * z2
@@ -151,7 +155,7 @@ def _worst_row(rows: Rows, groups: Records, Q: Array, x: Array) -> tuple[float, 
 
 @jit
 def _worst_constellation(
-    rows: Rows, system: Ints, heading: float, fit: Any, limits: tuple[Array, Array], search: int, x: Array, Q: Array
+    rows: Records, heading: float, fit: Any, limits: tuple[Array, Array], search: int, x: Array, Q: Array
 ) -> tuple[float, float, int, int]:
     """Test each constellation whose removal leaves a solution.
 
@@ -167,15 +171,15 @@ def _worst_constellation(
     """
     total, df = fit
     factor, chi2 = limits
-    groups, rest = np.empty(MAX_CLOCKS, GROUP), Rows(rows.los, rows.group, rows.variance, rows.y, rows.used.copy())
+    groups, rest = np.empty(MAX_CLOCKS, GROUP), rows.copy()
     A, b, x_i, Q_i = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((3, 3))
     sin_h, cos_h = math.sin(heading), math.cos(heading)
     suspicion, largest, at, df_left = 0.0, 0.0, -1, 0
     for g in range(MAX_GROUPS):
         removed = 0
-        for i in range(system.size):
-            rest.used[i] = rows.used[i] and system[i] != g
-            removed += rows.used[i] and system[i] == g
+        for i in range(rows.shape[0]):
+            rest[i].used = rows[i].used and rows[i].system != g
+            removed += rows[i].used and rows[i].system == g
         if removed == 0:
             continue
         left, present = _centre_groups(rest, groups)
@@ -200,7 +204,7 @@ def _worst_constellation(
     return suspicion, largest, at, df_left
 
 
-@jit(borrows=True)
+@jit
 def _separation(
     x: Array, x_i: Array, Q: Array, Q_i: Array, sin_h: float, cos_h: float, factor: Array, search: int
 ) -> float:
@@ -226,13 +230,13 @@ def _separation(
     return float(along / (major * factor[1] ** 2))
 
 
-@jit(borrows=True)
-def _systems_in_use(used: Any, system: Ints) -> int:
+@jit
+def _systems_in_use(rows: Records) -> int:
     """Number of constellations with rows in use."""
     seen = 0
-    for i in range(system.size):
-        if used[i]:
-            seen |= 1 << system[i]
+    for i in range(rows.shape[0]):
+        if rows[i].used:
+            seen |= 1 << rows[i].system
     count = 0
     for g in range(MAX_GROUPS):
         count += seen >> g & 1
@@ -241,14 +245,14 @@ def _systems_in_use(used: Any, system: Ints) -> int:
 
 @jit
 def detect_and_exclude(
-    rows: Rows, system: Ints, heading: float, thresholds: Thresholds, rules: Any, x: Array, Q: Array
+    rows: Records, heading: float, thresholds: Thresholds, rules: Any, x: Array, Q: Array
 ) -> tuple[int, float, float, int, int]:
     """Test, exclude the mode that exceeds its threshold most, test again.
 
     Parameters
     ----------
-    rows : rows in use; ``used`` of excluded rows is cleared in place; groups 0 to MAX_CLOCKS - 1.
-    system : (S,) constellation of each row, 0 to MAX_GROUPS - 1.
+    rows : (S,) of ROW; ``used`` of excluded rows is cleared in place. Groups 0 to MAX_CLOCKS - 1, systems 0 to
+        MAX_GROUPS - 1.
     heading : azimuth of motion [rad], along and across which constellations are tested.
     rules : of FDE_RULES.
     x (3,), Q (3, 3) : receive the solution and its covariance (East, North, Up).
@@ -273,33 +277,33 @@ def detect_and_exclude(
         total, largest, at = _worst_row(rows, groups, Q, x)
         if df < 1:
             return NO_REDUNDANCY, 0.0, 0.0, 0, excluded
-        tests = count + (_systems_in_use(rows.used, system) if rules.constellations else 0)
+        tests = count + (_systems_in_use(rows) if rules.constellations else 0)
         index = tests if rules.by_tests else df
-        limit = thresholds.local[index]
+        limit = thresholds.limits[index].local
         suspicion, excess, failed, df_left = 0.0, 0.0, -1, 0
         if rules.constellations:
             limits = (thresholds.factor[index], thresholds.chi2[index])
             suspicion, excess, failed, df_left = _worst_constellation(
-                rows, system, heading, (total, df), limits, rules.search, x, Q
+                rows, heading, (total, df), limits, rules.search, x, Q
             )
-        beyond = total >= thresholds.global_chi2[df]
+        beyond = total >= thresholds.limits[df].overall
         detected = beyond or (not rules.global_first and (largest >= limit or suspicion >= 1.0))
         if not detected:
             return (EXCLUDED if modes > 0 else CLEAN), total, largest, df, excluded
         if failed >= 0 and excess > (largest / limit) ** 2:
             if excess < 1.0 or modes >= rules.max_excluded or df_left < rules.min_redundancy:
                 return UNRESOLVED, total, largest, df, excluded
-            for i in range(system.size):
-                if rows.used[i] and system[i] == failed:
-                    rows.used[i] = False
+            for i in range(rows.shape[0]):
+                if rows[i].used and rows[i].system == failed:
+                    rows[i].used = False
                     excluded += 1
             count, present = _centre_groups(rows, groups)
             _normal_equations(rows, groups, A, b)
         else:
             if at < 0 or largest < limit or modes >= rules.max_excluded or df - 1 < rules.min_redundancy:
                 return UNRESOLVED, total, largest, df, excluded
-            _remove_row(at, rows, groups[rows.group[at]], A, b)
-            rows.used[at] = False
+            _remove_row(rows[at], groups[rows[at].group], A, b)
+            rows[at].used = False
             excluded += 1
             count, present = _centre_groups(rows, groups)
         modes += 1

@@ -20,133 +20,90 @@ solution is computed a second time:
 - a system with the sums ``W_g, s = sum w z, c = sum w r`` of its satellites: ``Q_g^-1 = Q^-1 - sum w z z' - s s' / (W -
   W_g)`` and ``d = -Q_g (sum w z r + s c / (W - W_g))``.
 
-Fault modes stand in one order everywhere: satellites first, then systems; arrays have W entries, a multiple of WIDTH,
-and zeros behind the last mode.
+Fault modes stand in one order everywhere: satellites first, then systems.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
-from lanebound.integrity.core.simd_kernel import (
-    WIDTH,
-    absolute,
-    largest,
-    load,
-    maximum,
-    padded,
-    root_of,
-    spread,
-    store,
-    total,
-    where_less,
-)
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, cholesky_2, invert_upper
 from lanebound.integrity.monitoring.protection_kernel import q_inverse
-from lanebound.integrity.positioning.rows_kernel import Rows
 
 __all__ = [
     "AFFORDABLE",
+    "CENTRED",
     "IDLE",
+    "INFLUENCE",
     "LOST",
     "MONITORED",
-    "Influences",
-    "Separations",
+    "SEPARATION",
+    "SUMS",
     "Trapezoid",
-    "advance_separations",
+    "advance_separation",
     "centre_rows",
-    "centred_scratch",
-    "clear_modes",
-    "copy_modes",
     "exposure",
-    "fade_separations",
+    "fade_separation",
     "find_satellite_influences",
     "find_system_influences",
-    "influences_of",
+    "forget_influence",
+    "forget_separation",
     "risk_factors",
-    "separations_of",
     "trapezoid",
     "worst_separation",
 ]
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
-IDLE, MONITORED, LOST = 0.0, 1.0, 2.0  # not used; monitored; a velocity had no solution without this mode
+IDLE, MONITORED, LOST = 0, 1, 2  # not used; monitored; a velocity had no solution without this mode
 
 POOR = 16.0  # variance without a system over that with it, from which on its prior is spent if it is small
 UNSOLVABLE_BELOW = 1e-6  # of f: without this satellite the velocity is a thousand times worse
 FAULT_SHARE = 0.25  # of the budget, for all single faults together; the rest is the fault-free mode's
 AFFORDABLE = 0.5  # of the budget, for the priors of modes that cannot be left out
 
+INFLUENCE = record(
+    state=("i8", "IDLE, MONITORED or LOST"),
+    d_e="velocity less that without the mode, East [m/s]",
+    d_n="the same, North [m/s]",
+    l_ee="Cholesky factor of the covariance of d, East East [m/s]",
+    l_ne="the same, North East [m/s]",
+    l_nn="the same, North North [m/s]",
+)
+"""What a fault mode does to the velocity of one epoch; zeros where there is no velocity or the mode is not used."""
 
-class Influences(NamedTuple):
-    """What each fault mode does to the velocity of one epoch; zeros where there is no velocity or it is not used.
-
-    (W,) each, or (B, W): d_e, d_n velocity less that without the mode [m/s]; l_ee, l_ne, l_nn Cholesky factor of the
-    covariance of d [m/s]; state IDLE, MONITORED or LOST.
-    """
-
-    d_e: Array
-    d_n: Array
-    l_ee: Array
-    l_ne: Array
-    l_nn: Array
-    state: Array
-
-
-class Separations(NamedTuple):
-    """The separation that each fault mode has caused since an RTK fix.
-
-    (W,) each, or (B, W): d_e, d_n separation D [m]; s_ee, s_en, s_nn its covariance [m^2]; ne_e, ne_n, nn_e, nn_n the
-    covariances Cov(D_E, n_E), Cov(D_E, n_N), Cov(D_N, n_E), Cov(D_N, n_N) with the unit error of d [m]; state IDLE,
-    MONITORED or LOST.
-    """
-
-    d_e: Array
-    d_n: Array
-    s_ee: Array
-    s_en: Array
-    s_nn: Array
-    ne_e: Array
-    ne_n: Array
-    nn_e: Array
-    nn_n: Array
-    state: Array
+SEPARATION = record(
+    state=("i8", "IDLE, MONITORED or LOST"),
+    d_e="separation D, East [m]",
+    d_n="the same, North [m]",
+    s_ee="its covariance, East East [m^2]",
+    s_en="the same, East North [m^2]",
+    s_nn="the same, North North [m^2]",
+    ne_e="Cov(D_E, n_E) with the unit error of d [m]",
+    ne_n="Cov(D_E, n_N) [m]",
+    nn_e="Cov(D_N, n_E) [m]",
+    nn_n="Cov(D_N, n_N) [m]",
+)
+"""The separation that a fault mode has caused since an RTK fix."""
 
 
-@jit(inline=True)
-def influences_of(a: Influences, v: int) -> Influences:
-    """Row v, (W,) each, of influences (B, W)."""
-    return Influences(a.d_e[v], a.d_n[v], a.l_ee[v], a.l_ne[v], a.l_nn[v], a.state[v])
+@jit
+def forget_influence(i: Any) -> None:
+    """The mode does nothing to the velocity: there is none, or it is not used."""
+    i.state, i.d_e, i.d_n, i.l_ee, i.l_ne, i.l_nn = IDLE, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
-@jit(inline=True)
-def separations_of(a: Separations, v: int) -> Separations:
-    """Row v, (W,) each, of separations (B, W)."""
-    return Separations(
-        a.d_e[v], a.d_n[v], a.s_ee[v], a.s_en[v], a.s_nn[v], a.ne_e[v], a.ne_n[v], a.nn_e[v], a.nn_n[v], a.state[v]
-    )
-
-
-@jit(borrows=True)
-def clear_modes(arrays: tuple[Array, ...]) -> None:
-    """No velocity, or no separation since the fix: zeros in all arrays (W,) of influences or separations."""
-    for array in arrays:
-        array[:] = 0.0
-
-
-@jit(borrows=True)
-def copy_modes(source: tuple[Array, ...], arrays: tuple[Array, ...]) -> None:
-    """Copy influences to influences, or separations to separations, (W,) each."""
-    for array, values in zip(arrays, source):  # noqa: B905 (kernels know no strict)
-        for k in range(array.size):
-            array[k] = values[k]
+@jit
+def forget_separation(s: Any) -> None:
+    """An RTK fix: the mode has caused no separation since."""
+    s.state, s.d_e, s.d_n, s.s_ee, s.s_en, s.s_nn = IDLE, 0.0, 0.0, 0.0, 0.0, 0.0
+    s.ne_e, s.ne_n, s.nn_e, s.nn_n = 0.0, 0.0, 0.0, 0.0
 
 
 # The velocity of one epoch without each mode
@@ -171,110 +128,107 @@ SUMS = record(
 """Sums over the satellites of a system, or over all."""
 
 
-class Centred(NamedTuple):
-    """The rows of one velocity: z (3, V), weight w (V,), 0 where not used, residual r (V,); sums of SUMS.
+CENTRED = record(
+    z=("f8", (3,), "line of sight less the weighted mean"),
+    weight="0 where not used [s^2/m^2]",
+    residual="[m/s]",
+)
+"""The row of a satellite in a velocity."""
 
-    sums (MAX_GROUPS + 1,) of each system and, last, of all.
+
+@jit
+def centre_rows(rows: Records, velocity: Array, centred: Records, sums: Records) -> None:
+    """Fill ``centred`` (S,) of CENTRED and the total weight in ``sums``, of the velocity (3,) found from ``rows`` (S,).
+
+    sums (MAX_GROUPS + 1,) of SUMS: of each system and, last, of all.
     """
-
-    row: Array
-    weight: Array
-    residual: Array
-    sums: Records
-
-
-@jit(forceinline=True)
-def centred_scratch(satellites: int) -> Centred:
-    """Allocate for velocities of so many satellites; weights behind the last stay 0."""
-    w = padded(satellites)
-    return Centred(np.zeros((3, w)), np.zeros(w), np.zeros(w), np.zeros(MAX_GROUPS + 1, SUMS))
-
-
-@jit(borrows=True)
-def centre_rows(rows: Rows, velocity: Array, c: Centred) -> None:
-    """Fill z, w and the residuals of the velocity (3,) found from these rows."""
-    row, weight, residual, n = c.row, c.weight, c.residual, rows.y.size
-    for k in range(n):
-        row[0, k], row[1, k], row[2, k] = rows.los[k, 0], rows.los[k, 1], rows.los[k, 2]
-        weight[k], residual[k] = (1.0 / rows.variance[k], rows.y[k]) if rows.used[k] else (0.0, 0.0)
-    w, e, north, up, y = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
-    for k in range(0, n, WIDTH):
-        here = load(weight, k)
-        w, y = w + here, y + here * load(residual, k)
-        e, north, up = e + here * load(row, 0, k), north + here * load(row, 1, k), up + here * load(row, 2, k)
-    inverse = 1.0 / total(w)
-    m_e, m_n, m_u, m_y = total(e) * inverse, total(north) * inverse, total(up) * inverse, total(y) * inverse
-    for k in range(0, n, WIDTH):
-        z_e, z_n, z_u = load(row, 0, k) - m_e, load(row, 1, k) - m_n, load(row, 2, k) - m_u
-        store(z_e, row, 0, k)
-        store(z_n, row, 1, k)
-        store(z_u, row, 2, k)
-        store(load(residual, k) - m_y + z_e * velocity[0] + z_n * velocity[1] + z_u * velocity[2], residual, k)
-    c.sums[MAX_GROUPS].w = total(w)
+    w, e, north, up, y = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(rows.shape[0]):
+        row, c = rows[k], centred[k]
+        c.weight = 1.0 / row.variance if row.used else 0.0
+        w += c.weight
+        e += c.weight * row.e[0]
+        north += c.weight * row.e[1]
+        up += c.weight * row.e[2]
+        y += c.weight * row.y if row.used else 0.0
+    inverse = 1.0 / w
+    m_e, m_n, m_u, m_y = e * inverse, north * inverse, up * inverse, y * inverse
+    for k in range(rows.shape[0]):
+        row, c = rows[k], centred[k]
+        if row.used:
+            c.z[0], c.z[1], c.z[2] = row.e[0] - m_e, row.e[1] - m_n, row.e[2] - m_u
+            c.residual = row.y - m_y + c.z[0] * velocity[0] + c.z[1] * velocity[1] + c.z[2] * velocity[2]
+    sums[MAX_GROUPS].w = w
 
 
-@jit(borrows=True)
-def find_satellite_influences(q: Array, c: Centred, out: Influences) -> None:
-    """Fill the influences of the satellites on a velocity of covariance q (3, 3), of centred rows."""
-    one = 1.0 / c.sums[MAX_GROUPS].w
-    for k in range(0, c.weight.size, WIDTH):
-        w, z_e, z_n, z_u = load(c.weight, k), load(c.row, 0, k), load(c.row, 1, k), load(c.row, 2, k)
+@jit
+def find_satellite_influences(q: Array, centred: Records, sums: Records, faults: Records) -> None:
+    """Fill ``faults[k].now`` of the satellites for a velocity of covariance q (3, 3), of centred rows."""
+    one = 1.0 / sums[MAX_GROUPS].w
+    for k in range(centred.shape[0]):
+        c, out = centred[k], faults[k].now
+        if not c.weight > 0.0:
+            forget_influence(out)
+            continue
+        w, z_e, z_n, z_u = c.weight, c.z[0], c.z[1], c.z[2]
         q_e = z_e * q[0, 0] + z_n * q[0, 1] + z_u * q[0, 2]
         q_n = z_e * q[1, 0] + z_n * q[1, 1] + z_u * q[1, 2]
         q_u = z_e * q[2, 0] + z_n * q[2, 1] + z_u * q[2, 2]
         free = 1.0 - w * (q_e * z_e + q_n * z_n + q_u * z_u + one)
-        solvable = where_less(UNSOLVABLE_BELOW, free, 1.0, 0.0)
-        scale = solvable * root_of(w / where_less(UNSOLVABLE_BELOW, free, free, 1.0))
-        u_e, u_n, statistic = 0.0 - q_e * scale, 0.0 - q_n * scale, load(c.residual, k) * scale
-        store(u_e * statistic, out.d_e, k)
-        store(u_n * statistic, out.d_n, k)
-        store(u_e, out.l_ee, k)
-        store(u_n, out.l_ne, k)
-        store(spread(0.0), out.l_nn, k)
-        store(where_less(0.0, w, LOST - solvable * (LOST - MONITORED), IDLE), out.state, k)
+        if not free > UNSOLVABLE_BELOW:  # no velocity without this satellite: its prior is spent
+            forget_influence(out)
+            out.state = LOST
+            continue
+        scale = math.sqrt(w / free)
+        u_e, u_n, statistic = -q_e * scale, -q_n * scale, c.residual * scale
+        out.state, out.d_e, out.d_n = MONITORED, u_e * statistic, u_n * statistic
+        out.l_ee, out.l_ne, out.l_nn = u_e, u_n, 0.0
 
 
-@jit(borrows=True)
-def find_system_influences(q: Array, system: Ints, prior: Array, spendable: float, c: Centred, out: Influences) -> None:
-    """Fill the influences of the systems, after those of the satellites, whose ``system`` (S,) is given.
+@jit
+def find_system_influences(
+    q: Array, satellites: Records, prior: Array, spendable: float, centred: Records, sums: Records, faults: Records
+) -> None:
+    """Fill ``faults[S + g].now`` of the systems g, after those of the ``satellites`` (S,).
 
-    prior (W,) of a fault of each mode. A system of a prior of at most ``spendable`` is LOST where the velocity without
+    prior (M,) of a fault of each mode. A system of a prior of at most ``spendable`` is LOST where the velocity without
     it is POOR.
     """
-    _sum_systems(system, c)
-    everything, first = c.sums[MAX_GROUPS], system.size
+    _sum_systems(satellites, centred, sums)
+    a, first = sums[MAX_GROUPS], satellites.shape[0]
     for g in range(min(MAX_GROUPS, prior.size - first)):
-        s, at = c.sums[g], first + g
-        out.d_e[at], out.d_n[at], out.l_ee[at], out.l_ne[at], out.l_nn[at] = 0.0, 0.0, 0.0, 0.0, 0.0
-        out.state[at] = IDLE if s.count == 0.0 else LOST
-        if s.count == 0.0 or everything.count - s.count < 4.0:
+        s, out = sums[g], faults[first + g].now
+        forget_influence(out)
+        out.state = IDLE if s.count == 0.0 else LOST
+        if s.count == 0.0 or a.count - s.count < 4.0:
             continue
-        rest = 1.0 / (everything.w - s.w)
-        a = everything
+        rest = 1.0 / (a.w - s.w)
         ok, ee, en, eu, nn, nu, _ = invert_upper(
             a.ee - s.ee - rest * s.e * s.e, a.en - s.en - rest * s.e * s.n, a.eu - s.eu - rest * s.e * s.u,
             a.nn - s.nn - rest * s.n * s.n, a.nu - s.nu - rest * s.n * s.u, a.uu - s.uu - rest * s.u * s.u,
         )  # fmt: skip
-        if not ok or (prior[at] <= spendable and ee + nn > POOR * (q[0, 0] + q[1, 1])):
+        # A system that is unlikely to fail and needed for a velocity worth having: its prior is spent instead.
+        if not ok or (prior[first + g] <= spendable and ee + nn > POOR * (q[0, 0] + q[1, 1])):
             continue
         r_e, r_n, r_u = s.er + rest * s.e * s.r, s.nr + rest * s.n * s.r, s.ur + rest * s.u * s.r
-        out.d_e[at], out.d_n[at] = -(ee * r_e + en * r_n + eu * r_u), -(en * r_e + nn * r_n + nu * r_u)
-        out.l_ee[at], out.l_ne[at], out.l_nn[at] = cholesky_2(ee - q[0, 0], en - q[0, 1], nn - q[1, 1])
-        out.state[at] = MONITORED
+        out.d_e, out.d_n = -(ee * r_e + en * r_n + eu * r_u), -(en * r_e + nn * r_n + nu * r_u)
+        out.l_ee, out.l_ne, out.l_nn = cholesky_2(ee - q[0, 0], en - q[0, 1], nn - q[1, 1])
+        out.state = MONITORED
 
 
-@jit(borrows=True)
-def _sum_systems(system: Ints, c: Centred) -> None:
+@jit
+def _sum_systems(satellites: Records, centred: Records, sums: Records) -> None:
     """Fill the sums of each system and of all satellites."""
     for g in range(MAX_GROUPS + 1):
-        s = c.sums[g]
+        s = sums[g]
         s.count, s.w, s.r, s.e, s.n, s.u = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         s.ee, s.en, s.eu, s.nn, s.nu, s.uu, s.er, s.nr, s.ur = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(system.size):
-        w = c.weight[k]
+    for k in range(satellites.shape[0]):
+        c = centred[k]
+        w = c.weight
         if w > 0.0:
-            e, n, u, r = c.row[0, k], c.row[1, k], c.row[2, k], c.residual[k]
-            s, w_e, w_n, w_u = c.sums[system[k]], w * e, w * n, w * u
+            e, n, u, r = c.z[0], c.z[1], c.z[2], c.residual
+            s, w_e, w_n, w_u = sums[satellites[k].system], w * e, w * n, w * u
             s.count += 1.0
             s.w += w
             s.r += w * r
@@ -290,9 +244,9 @@ def _sum_systems(system: Ints, c: Centred) -> None:
             s.er += w_e * r
             s.nr += w_n * r
             s.ur += w_u * r
-    everything = c.sums[MAX_GROUPS]
+    everything = sums[MAX_GROUPS]
     for g in range(MAX_GROUPS):
-        s = c.sums[g]
+        s = sums[g]
         everything.count += s.count
         everything.w += s.w
         everything.ee += s.ee
@@ -319,73 +273,67 @@ class Trapezoid(NamedTuple):
     white: float
 
 
-@jit(borrows=True, forceinline=True)
+@jit
 def trapezoid(dt: float, had: bool, phi: float, white: float) -> Trapezoid:
     """``p += dt/2 (v_{t-1} + v_t)``, or ``p += dt v_t`` where there ``had`` been no velocity before."""
     now = 0.5 * dt if had else dt
     return Trapezoid(dt - now, now, phi, white)
 
 
-@jit(borrows=True)
-def advance_separations(t: Trapezoid, weight: float, last: Influences, now: Influences, s: Separations) -> None:
-    """Advance the separations where Doppler moves the position: ``D += before d_{t-1} + now d_t`` and its covariance.
+@jit
+def advance_separation(t: Trapezoid, weight: float, last: Any, now: Any, s: Any) -> None:
+    """Advance a separation where Doppler moves the position: ``D += before d_{t-1} + now d_t`` and its covariance.
 
     ``D' = D + K n + M r`` with ``K = before L_{t-1} + now phi L_t`` and ``M = now L_t``, as the position itself
     (:func:`~.dead_reckoning_pl_kernel.step_doppler`). ``weight`` [s] is that of the last velocity in the position.
     """
     fresh = 1.0 - t.phi * t.phi
     inner, outer = t.white * (2.0 * weight + t.before) * t.before, t.white + fresh
-    for k in range(0, s.state.size, WIDTH):
-        a_ee, a_ne, a_nn = load(last.l_ee, k), load(last.l_ne, k), load(last.l_nn, k)
-        m_ee, m_ne, m_nn = load(now.l_ee, k) * t.now, load(now.l_ne, k) * t.now, load(now.l_nn, k) * t.now
-        k_ee, k_ne, k_nn = (
-            a_ee * t.before + m_ee * t.phi,
-            a_ne * t.before + m_ne * t.phi,
-            a_nn * t.before + m_nn * t.phi,
-        )
-        a, b, c, d = load(s.ne_e, k), load(s.ne_n, k), load(s.nn_e, k), load(s.nn_n, k)
-        store(load(s.d_e, k) + load(last.d_e, k) * t.before + load(now.d_e, k) * t.now, s.d_e, k)
-        store(load(s.d_n, k) + load(last.d_n, k) * t.before + load(now.d_n, k) * t.now, s.d_n, k)
-        ee = 2.0 * a * k_ee + k_ee * k_ee + outer * m_ee * m_ee + inner * a_ee * a_ee
-        en = a * k_ne + b * k_nn + c * k_ee + k_ee * k_ne + outer * m_ee * m_ne + inner * a_ee * a_ne
-        nn = 2.0 * (c * k_ne + d * k_nn) + k_ne * k_ne + k_nn * k_nn
-        nn += outer * (m_ne * m_ne + m_nn * m_nn) + inner * (a_ne * a_ne + a_nn * a_nn)
-        store(load(s.s_ee, k) + ee, s.s_ee, k)
-        store(load(s.s_en, k) + en, s.s_en, k)
-        store(load(s.s_nn, k) + nn, s.s_nn, k)
-        store(t.phi * (a + k_ee) + fresh * m_ee, s.ne_e, k)
-        store(t.phi * b, s.ne_n, k)
-        store(t.phi * (c + k_ne) + fresh * m_ne, s.nn_e, k)
-        store(t.phi * (d + k_nn) + fresh * m_nn, s.nn_n, k)
-        store(maximum(load(s.state, k), maximum(load(last.state, k), load(now.state, k))), s.state, k)
+    a_ee, a_ne, a_nn = last.l_ee, last.l_ne, last.l_nn
+    m_ee, m_ne, m_nn = now.l_ee * t.now, now.l_ne * t.now, now.l_nn * t.now
+    k_ee, k_ne, k_nn = a_ee * t.before + m_ee * t.phi, a_ne * t.before + m_ne * t.phi, a_nn * t.before + m_nn * t.phi
+    a, b, c, d = s.ne_e, s.ne_n, s.nn_e, s.nn_n
+    s.d_e = s.d_e + last.d_e * t.before + now.d_e * t.now
+    s.d_n = s.d_n + last.d_n * t.before + now.d_n * t.now
+    ee = 2.0 * a * k_ee + k_ee * k_ee + outer * m_ee * m_ee + inner * a_ee * a_ee
+    en = a * k_ne + b * k_nn + c * k_ee + k_ee * k_ne + outer * m_ee * m_ne + inner * a_ee * a_ne
+    nn = 2.0 * (c * k_ne + d * k_nn) + k_ne * k_ne + k_nn * k_nn
+    nn += outer * (m_ne * m_ne + m_nn * m_nn) + inner * (a_ne * a_ne + a_nn * a_nn)
+    s.s_ee += ee
+    s.s_en += en
+    s.s_nn += nn
+    s.ne_e, s.ne_n = t.phi * (a + k_ee) + fresh * m_ee, t.phi * b
+    s.nn_e, s.nn_n = t.phi * (c + k_ne) + fresh * m_ne, t.phi * (d + k_nn) + fresh * m_nn
+    s.state = max(s.state, last.state, now.state)
 
 
-@jit(borrows=True)
-def fade_separations(phi: float, s: Separations) -> None:
+@jit
+def fade_separation(phi: float, s: Any) -> None:
     """An epoch in which Doppler does not move the position: the correlation with the errors of d fades."""
-    for k in range(0, s.state.size, WIDTH):
-        store(phi * load(s.ne_e, k), s.ne_e, k)
-        store(phi * load(s.ne_n, k), s.ne_n, k)
-        store(phi * load(s.nn_e, k), s.nn_e, k)
-        store(phi * load(s.nn_n, k), s.nn_n, k)
+    s.ne_e *= phi
+    s.ne_n *= phi
+    s.nn_e *= phi
+    s.nn_n *= phi
 
 
 # The bound
 
 
-@jit(borrows=True)
-def exposure(prior: Array, state: Array) -> tuple[float, float, float]:
-    """Sum of the priors (W,) and of their squares over the modes used since the fix, and the sum of the LOST."""
-    used, squares, lost = spread(0.0), spread(0.0), spread(0.0)
-    for k in range(0, state.size, WIDTH):
-        here, p = load(state, k), load(prior, k)
-        p = where_less(IDLE, here, p, 0.0)
-        used, squares = used + p, squares + p * p
-        lost += where_less(MONITORED, here, p, 0.0)
-    return total(used), total(squares), total(lost)
+@jit
+def exposure(prior: Array, separations: Records) -> tuple[float, float, float]:
+    """Sum of the priors (M,) and of their squares over the modes used since the fix, and the sum of the LOST."""
+    used, squares, lost = 0.0, 0.0, 0.0
+    for k in range(separations.shape[0]):
+        state, p = separations[k].state, prior[k]
+        if state > IDLE:
+            used += p
+            squares += p * p
+        if state > MONITORED:
+            lost += p
+    return used, squares, lost
 
 
-@jit(borrows=True)
+@jit
 def risk_factors(budget: float, share: float, pair: float, everything: float, lost: float) -> tuple[float, float]:
     """``K_0`` of the fault-free mode and ``K_f`` of every single fault; (inf, inf) when no risk is left.
 
@@ -407,20 +355,23 @@ def risk_factors(budget: float, share: float, pair: float, everything: float, lo
     return q_inverse(0.5 * (left - faults)), q_inverse(min(0.5 * faults / monitored, 0.5)) if monitored > 0.0 else 0.0
 
 
-@jit(borrows=True)
-def worst_separation(sine: float, cosine: float, sigma: float, by_heading: float, k_f: float, s: Separations) -> float:
+@jit
+def worst_separation(
+    sine: float, cosine: float, sigma: float, by_heading: float, k_f: float, separations: Records
+) -> float:
     """``max_k abs(D_k,q) + K_f sigma_k,q`` [m] of the monitored modes on the axis ``q = [sine, cosine]``; 0 for none.
 
     ``sigma_k^2 = sigma^2 + (sigma_D + sigma_h)^2``: fault-free, of the separation by velocities, and ``by_heading`` of
     that by the heading, which may correlate [m].
     """
-    worst = spread(0.0)
-    for k in range(0, s.state.size, WIDTH):
-        state, d = load(s.state, k), absolute(load(s.d_e, k) * sine + load(s.d_n, k) * cosine)
-        more = load(s.s_ee, k) * (sine * sine) + load(s.s_en, k) * (2.0 * sine * cosine)
-        more += load(s.s_nn, k) * (cosine * cosine)
-        apart = root_of(maximum(more, 0.0)) + by_heading
-        level = d + k_f * root_of(apart * apart + sigma * sigma)
-        monitored = where_less(IDLE, state, where_less(MONITORED, state, 0.0, level), 0.0)
-        worst = maximum(worst, monitored)
-    return float(largest(worst))
+    worst = 0.0
+    for k in range(separations.shape[0]):
+        s = separations[k]
+        if s.state != MONITORED:
+            continue
+        more = s.s_ee * (sine * sine) + s.s_en * (2.0 * sine * cosine)
+        more += s.s_nn * (cosine * cosine)
+        apart = math.sqrt(max(more, 0.0)) + by_heading
+        level = abs(s.d_e * sine + s.d_n * cosine) + k_f * math.sqrt(apart * apart + sigma * sigma)
+        worst = max(worst, level)
+    return worst

@@ -27,7 +27,7 @@ from lanebound.integrity.monitoring.detection import (
     separation_test,
     w_test,
 )
-from lanebound.integrity.monitoring.detection_kernel import FDE_RULES, Thresholds
+from lanebound.integrity.monitoring.detection_kernel import FDE_RULES, LIMIT, Thresholds
 from lanebound.integrity.monitoring.significance import Linking, ThresholdTables, threshold_tables
 
 __all__ = [
@@ -130,7 +130,9 @@ def fde_thresholds(config: FdeConfig, n_max: int, constellations: bool = False) 
         ranks = {Search.SEPARATION: 0, Search.DIRECTION: 3, Search.W_TEST: n_max + 1}[config.search]
         if ranks:
             factor = np.sqrt(chi2[:, :ranks])
-    return Thresholds(tables.global_chi2.copy(), local, factor, chi2)
+    limits = np.zeros(local.size, LIMIT)
+    limits["overall"], limits["local"] = tables.global_chi2, local
+    return Thresholds(limits, np.ascontiguousarray(factor), chi2)
 
 
 @dataclass(frozen=True)

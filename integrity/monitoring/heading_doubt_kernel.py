@@ -78,20 +78,20 @@ HEADING_DOUBT = record(
 """What is known while gyro and Doppler courses contradict each other."""
 
 
-@jit(borrows=True)
+@jit
 def _forget_paths(doubt: Any) -> None:
     """Begin anew to compare paths with RTK."""
     doubt.rtk_e, doubt.rtk_n, doubt.apart_e, doubt.apart_n, doubt.seen = 0.0, 0.0, 0.0, 0.0, False
 
 
-@jit(borrows=True)
+@jit
 def _end(doubt: Any) -> None:
     """Both headings are the same again, or one is known to be wrong."""
     doubt.stage, doubt.agree_s, doubt.refused_s, doubt.refuses, doubt.difference = NONE, 0.0, 0.0, False, 0.0
     _forget_paths(doubt)
 
 
-@jit(borrows=True)
+@jit
 def follow_gyro(delta_theta: float, rules: Any, dt: float, doubt: Any) -> None:
     """Advance both histories by the gyro increment [rad]; ``rules`` hold the noise of the gyro."""
     if doubt.stage != NONE:
@@ -100,14 +100,14 @@ def follow_gyro(delta_theta: float, rules: Any, dt: float, doubt: Any) -> None:
         doubt.course = wrap(doubt.course + doubt.gyro.angle - before)
 
 
-@jit(borrows=True)
+@jit
 def note_course(jump: float, since_s: float, heading: Any, doubt: Any) -> None:
     """A course of Doppler, ``jump`` [rad] off the heading, ``since_s`` after the last one that was accepted [s]."""
     limit = GYRO_FAULT_RADPS * since_s
     doubt.course = wrap(heading.angle + min(max(jump, -limit), limit))
 
 
-@jit(borrows=True)
+@jit
 def note_refusal(dt: float, heading: Any, doubt: Any) -> None:
     """The course of this epoch contradicts the heading."""
     doubt.refused_s += dt
@@ -118,13 +118,13 @@ def note_refusal(dt: float, heading: Any, doubt: Any) -> None:
         _forget_paths(doubt)
 
 
-@jit(borrows=True)
+@jit
 def due(jump: float, doubt: Any) -> bool:
     """Whether courses off by ``jump`` [rad] have been refused for as long as a failed gyro needs to drift that far."""
     return bool(doubt.refused_s > max(REACQUIRE_S, abs(jump) / GYRO_FAULT_RADPS))
 
 
-@jit(borrows=True)
+@jit
 def turn_to_doppler(jump: float, rules: Any, heading: Any, doubt: Any) -> None:
     """Raise the variances of the heading so that it follows the courses; the gyro's history stays."""
     if doubt.stage == OPEN:
@@ -133,7 +133,7 @@ def turn_to_doppler(jump: float, rules: Any, heading: Any, doubt: Any) -> None:
     raise_uncertainty(jump, rules.bias_initial, rules.gyro_scale, heading)
 
 
-@jit(borrows=True)
+@jit
 def note_agreement(dt: float, limit: float, heading: Any, doubt: Any) -> None:
     """A course is accepted: a doubt ends at once before the heading follows Doppler, and later when both are alike.
 
@@ -150,20 +150,20 @@ def note_agreement(dt: float, limit: float, heading: Any, doubt: Any) -> None:
             _end(doubt)
 
 
-@jit(borrows=True)
+@jit
 def find_difference(angle: float, doubt: Any) -> None:
     """The largest angle between the reported heading [rad] and either history."""
     doubt.difference = max(abs(wrap(doubt.course - angle)), abs(wrap(doubt.gyro.angle - angle)))
 
 
-@jit(borrows=True)
+@jit
 def shift_of_lever(angle: float, turned: float, lever: Any) -> tuple[float, float]:
     """How far an antenna moves by the lever when the heading turns by ``turned`` to ``angle`` [rad], East and North."""
     sine, cosine = math.sin(angle) - math.sin(angle - turned), math.cos(angle) - math.cos(angle - turned)
     return sine * lever.forward + cosine * lever.right, cosine * lever.forward - sine * lever.right
 
 
-@jit(borrows=True)
+@jit
 def follow_paths(
     taken: tuple[float, float], run: float, middle: float, reckoned: float, turned: float, lever: Any, doubt: Any,
     growth: Any,
@@ -189,7 +189,7 @@ def follow_paths(
     doubt.step_e, doubt.step_n = step_e + other_e - own_e, step_n + other_n - own_n
 
 
-@jit(borrows=True)
+@jit
 def judge_by_path(antenna: tuple[float, float], path: tuple[float, float], heading: Any, doubt: Any) -> None:
     """Let RTK decide, one epoch after the other: its antenna (East, North) [m] and the path taken of it [m].
 
@@ -213,14 +213,14 @@ def judge_by_path(antenna: tuple[float, float], path: tuple[float, float], headi
     _end(doubt)
 
 
-@jit(borrows=True)
+@jit
 def aside(sine: float, cosine: float, g: Any) -> float:
     """How far the farther of the two histories is off the path taken, on an axis of these E and N components [m]."""
     doppler, gyro = sine * g.doppler_e + cosine * g.doppler_n, sine * g.gyro_e + cosine * g.gyro_n
     return float(max(abs(doppler), abs(gyro)))
 
 
-@jit(borrows=True)
+@jit
 def cover_axes(between: float, pl: Any) -> None:
     """Raise exact levels pl (2,) AT, CT so that they hold on axes turned by up to ``between`` [rad] as well.
 

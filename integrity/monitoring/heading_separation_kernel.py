@@ -21,59 +21,25 @@ How much of the heading rests on courses with k fades as later courses arrive. B
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import record
-from lanebound.integrity.core.simd_kernel import WIDTH, absolute, largest, load, maximum, spread, store, where_less
-from lanebound.integrity.monitoring.doppler_separation_kernel import (
-    IDLE,
-    LOST,
-    MONITORED,
-    Influences,
-    Separations,
-)
+from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.monitoring.doppler_separation_kernel import IDLE, LOST, MONITORED
 
-__all__ = [
-    "SPREAD",
-    "Courses",
-    "advance_courses",
-    "advance_spread",
-    "courses_of",
-    "largest_course",
-    "move_by_courses",
-    "raise_states",
-]
-
-Array = NDArray[np.float64]
+__all__ = ["COURSE", "SPREAD", "advance_course", "advance_spread", "largest_course", "move_by_course", "state_of"]
 
 FADED = 1e-4  # share of the heading
 
-
-class Courses(NamedTuple):
-    """Separation of the heading filter by each fault mode (:mod:`.doppler_separation_kernel`).
-
-    (W,) each, or (B, W): h, b, s heading [rad], gyro bias [rad/s] and gyro scale [-] of the filter less those without
-    the mode; used, lost share of the heading [-] that rests on courses with it, and on courses that had no solution
-    without it; mean the mean of h over the last epoch [rad].
-    """
-
-    h: Array
-    b: Array
-    s: Array
-    used: Array
-    lost: Array
-    mean: Array
-
-
-@jit(inline=True)
-def courses_of(a: Courses, v: int) -> Courses:
-    """Row v, (W,) each, of courses (B, W)."""
-    return Courses(a.h[v], a.b[v], a.s[v], a.used[v], a.lost[v], a.mean[v])
-
+COURSE = record(
+    h="heading of the filter less that without the mode [rad]",
+    b="gyro bias, the same difference [rad/s]",
+    s="gyro scale, the same difference [-]",
+    used="share of the heading that rests on courses with the mode [-]",
+    lost="share of it that rests on courses that had no solution without the mode [-]",
+    mean="mean of h over the last epoch [rad]",
+)
+"""Separation of the heading filter by a fault mode (:mod:`.doppler_separation_kernel`)."""
 
 SPREAD = record(
     hh="variance of h [rad^2]",
@@ -86,75 +52,61 @@ SPREAD = record(
 """Covariance of the separations of the heading filter, for the one of the largest variance."""
 
 
-@jit(borrows=True)
-def advance_courses(turn: Any, now: Influences, c: Courses) -> float:
-    """Advance the separations by an epoch of the filter, ``turn`` of TURN.
+@jit
+def advance_course(turn: Any, now: Any, c: Any) -> float:
+    """Advance the separation of a mode by an epoch of the filter, ``turn`` of TURN; ``now`` is its INFLUENCE.
 
-    ``c_k = right'd_k`` where a course calibrates. Returns the largest variance of any ``c_k`` [rad^2].
+    ``c_k = right'd_k`` where a course calibrates. Returns the variance of ``c_k`` [rad^2].
     """
-    r_e, r_n, k_h, keep = turn.right[0], turn.right[1], turn.k_h, 1.0 - turn.k_h
-    calibrates = r_e != 0.0 or r_n != 0.0
+    r_e, r_n, k_h = turn.right[0], turn.right[1], turn.k_h
     dt, delta = (0.0, 0.0) if turn.rests else (turn.dt, turn.delta)
-    most = spread(0.0)
-    for k in range(0, c.h.size, WIDTH):
-        h, b, s, used, lost = load(c.h, k), load(c.b, k), load(c.s, k), load(c.used, k), load(c.lost, k)
-        seen, state = spread(0.0), spread(IDLE)
-        if calibrates:
-            seen, state = load(now.d_e, k) * r_e + load(now.d_n, k) * r_n, load(now.state, k)
-            first, second = load(now.l_ee, k) * r_e + load(now.l_ne, k) * r_n, load(now.l_nn, k) * r_n
-            most = maximum(most, first * first + second * second)
-        turned = b * dt + s * delta
-        store(h - 0.5 * turned, c.mean, k)
-        h -= turned
-        if not turn.rests:
-            used = keep * used + where_less(IDLE, state, k_h, 0.0)
-            lost = keep * lost + where_less(MONITORED, state, k_h, 0.0)
-        off = seen - (b if turn.rests else h)
-        h, b, s = h + k_h * off, b + turn.k_b * off, s + turn.k_s * off
-        if k_h > 0.0:
-            stays = where_less(used, FADED, where_less(IDLE, state, 1.0, 0.0), 1.0)
-            h, b, s, used, lost = h * stays, b * stays, s * stays, used * stays, lost * stays
-        store(h, c.h, k)
-        store(b, c.b, k)
-        store(s, c.s, k)
-        store(used, c.used, k)
-        store(lost, c.lost, k)
-    return float(largest(most))
+    seen, state, variance = 0.0, IDLE, 0.0
+    if r_e != 0.0 or r_n != 0.0:
+        seen, state = now.d_e * r_e + now.d_n * r_n, now.state
+        first, second = now.l_ee * r_e + now.l_ne * r_n, now.l_nn * r_n
+        variance = first * first + second * second
+    turned = c.b * dt + c.s * delta
+    c.mean = c.h - 0.5 * turned
+    c.h -= turned
+    if not turn.rests:
+        c.used = (1.0 - k_h) * c.used + (k_h if state > IDLE else 0.0)
+        c.lost = (1.0 - k_h) * c.lost + (k_h if state > MONITORED else 0.0)
+    off = seen - (c.b if turn.rests else c.h)
+    c.h += k_h * off
+    c.b += turn.k_b * off
+    c.s += turn.k_s * off
+    # Later courses have replaced nearly all that the mode contributed: it no longer counts.
+    if k_h > 0.0 and c.used < FADED and state == IDLE:
+        c.h, c.b, c.s, c.used, c.lost = 0.0, 0.0, 0.0, 0.0, 0.0
+    return variance
 
 
-@jit(borrows=True, forceinline=True)
-def _state_of(c: Courses, k: int) -> Any:
-    """IDLE, MONITORED or LOST of the modes k to k + WIDTH - 1."""
-    return where_less(FADED, load(c.lost, k), LOST, where_less(FADED, load(c.used, k), MONITORED, IDLE))
+@jit
+def state_of(c: Any) -> int:
+    """IDLE, MONITORED or LOST: whether the heading rests on courses with the mode."""
+    if c.lost > FADED:
+        return LOST
+    return MONITORED if c.used > FADED else IDLE
 
 
-@jit(borrows=True)
-def move_by_courses(across_e: float, across_n: float, c: Courses, s: Separations) -> None:
-    """Add to separations what the last epoch moved along the heading: ``D_k += across h_mean`` [m]."""
-    for k in range(0, c.h.size, WIDTH):
-        mean = load(c.mean, k)
-        store(load(s.d_e, k) + across_e * mean, s.d_e, k)
-        store(load(s.d_n, k) + across_n * mean, s.d_n, k)
-        store(maximum(load(s.state, k), _state_of(c, k)), s.state, k)
+@jit
+def move_by_course(across_e: float, across_n: float, c: Any, s: Any) -> None:
+    """Add to a separation what the last epoch moved along the heading: ``D_k += across h_mean`` [m]."""
+    s.d_e += across_e * c.mean
+    s.d_n += across_n * c.mean
+    s.state = max(s.state, state_of(c))
 
 
-@jit(borrows=True)
-def raise_states(now: Influences, s: Separations, c: Courses, state: Array) -> None:
-    """The state (W,) of each mode: in the velocity now, in the position since the fix, or in the heading."""
-    for k in range(0, state.size, WIDTH):
-        store(maximum(maximum(load(now.state, k), load(s.state, k)), _state_of(c, k)), state, k)
+@jit
+def largest_course(faults: Records) -> float:
+    """Largest separation of the heading by any mode [rad]; faults (M,) with a field ``course`` of COURSE."""
+    most = 0.0
+    for k in range(faults.shape[0]):
+        most = max(most, abs(faults[k].course.h))
+    return most
 
 
-@jit(borrows=True)
-def largest_course(c: Courses) -> float:
-    """Largest separation of the heading by any mode [rad]."""
-    most = spread(0.0)
-    for k in range(0, c.h.size, WIDTH):
-        most = maximum(most, absolute(load(c.h, k)))
-    return float(largest(most))
-
-
-@jit(borrows=True)
+@jit
 def advance_spread(turn: Any, variance: float, across_e: float, across_n: float, p: Any, growth: Any) -> None:
     """Advance the covariance of h, and of h with the part of every position that it has moved.
 

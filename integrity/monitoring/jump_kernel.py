@@ -83,38 +83,38 @@ JUMP = record(
 """State of the jump monitor."""
 
 
-@jit(borrows=True)
+@jit
 def along_across(east: float, north: float, sin_h: float, cos_h: float) -> tuple[float, float]:
     """Lengths along and across the track of a vector in E and N."""
     return abs(sin_h * east + cos_h * north), abs(cos_h * east - sin_h * north)
 
 
-@jit(borrows=True)
+@jit
 def contradicts(east: float, north: float, sin_h: float, cos_h: float, expected: Array, found: Array) -> bool:
     """Whether two positions (east, north) [m] apart cannot both be within their levels (2,) AT, CT [m]."""
     at, ct = along_across(east, north, sin_h, cos_h)
     return bool(at > expected[0] + found[0] or ct > expected[1] + found[1])
 
 
-@jit(borrows=True)
+@jit
 def bounded(level: Array) -> bool:
     """Whether there is a level on both axes, (2,)."""
     return bool(level[0] < np.inf and level[1] < np.inf)
 
 
-@jit(borrows=True)
+@jit
 def is_suspicious(jump: Any) -> bool:
     """Whether RTK has contradicted the expected position and has not been accepted since."""
     return bool(jump.stage != TRUSTED)
 
 
-@jit(borrows=True)
+@jit
 def suspects_signals(jump: Any) -> bool:
     """Whether Doppler must not be used either."""
     return bool(jump.stage == WAITING or jump.stage == JUMPED)
 
 
-@jit(borrows=True)
+@jit
 def clear(jump: Any) -> None:
     """No contradiction is known."""
     jump.stage, jump.left_s, jump.d_e, jump.d_n = TRUSTED, 0.0, 0.0, 0.0
@@ -123,7 +123,7 @@ def clear(jump: Any) -> None:
     jump.found_s, jump.found_e, jump.found_n = 0.0, 0.0, 0.0
 
 
-@jit(borrows=True)
+@jit
 def grow_drift(dt: float, speed: float, sin_h: float, cos_h: float, jump: Any) -> None:
     """Advance by an epoch what gyro and odometer add if the drift that was found is theirs.
 
@@ -135,7 +135,7 @@ def grow_drift(dt: float, speed: float, sin_h: float, cos_h: float, jump: Any) -
     jump.off_n += time * (jump.rate_at * cos_h - jump.rate_ct * sin_h)
 
 
-@jit(borrows=True)
+@jit
 def follow_drift(sin_h: float, cos_h: float, jump: Any) -> None:
     """Raise the rate of a drift to that of D since it was found: windows that began before it show a smaller one."""
     if jump.found_s < SETTLED_S or (jump.rate_at == 0.0 and jump.rate_ct == 0.0):
@@ -148,7 +148,7 @@ def follow_drift(sin_h: float, cos_h: float, jump: Any) -> None:
         jump.rate_ct = across
 
 
-@jit(borrows=True)
+@jit
 def begin_epoch(dt: float, jump: Any) -> None:
     """Count down a quarantine by an epoch of ``dt`` [s]; RELEASED when it is over."""
     if jump.stage == WAITING:
@@ -157,7 +157,7 @@ def begin_epoch(dt: float, jump: Any) -> None:
             jump.left_s, jump.stage = 0.0, RELEASED
 
 
-@jit(borrows=True)
+@jit
 def judge_jump(
     east: float, north: float, sin_h: float, cos_h: float, expected: Array, found: Array, lasting: bool, conflict: bool,
     after_jump_s: float, after_outage_s: float, jump: Any,
@@ -201,7 +201,7 @@ def judge_jump(
     return ACCEPTED
 
 
-@jit(borrows=True)
+@jit
 def widen(sin_h: float, cos_h: float, found: Array, jump: Any, pl: Array) -> None:
     """Widen the levels of dead reckoning pl (R, 2) in place to cover RTK's history too, of levels ``found`` (R, 2).
 

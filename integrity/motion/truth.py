@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 from lanebound.integrity.core.frames import GRAVITY_MPS2
-from lanebound.integrity.motion.truth_kernel import EndRows, TrueMotion, between
+from lanebound.integrity.core.records import Records, packed
+from lanebound.integrity.motion.truth_kernel import END, TRUTH, between_rows
 
 __all__ = ["Truth", "require_consistent", "truth_between"]
 
@@ -33,6 +34,7 @@ class Truth:
     distance_m : (B,) signed length of the chord; equal to the path length up to second order in the turn
     arc_m : (B,) position along the street's centre line, for the sky mask
     lane : (B,) lane index there, 0 is the rightmost
+    given : records that the arrays are the fields of; None where they are arrays of the user's own
     """
 
     time_s: float
@@ -45,6 +47,23 @@ class Truth:
     distance_m: Array
     arc_m: Array
     lane: NDArray[np.int64]
+    given: Records | None = field(default=None, init=False, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, time_s: float, dt_s: float, records: Records) -> Self:
+        """The truth whose arrays are the fields of ``records``, (B,) of TRUTH (:mod:`.truth_kernel`)."""
+        truth = cls(time_s, dt_s, *(records[name] for name in TRUTH.names or ()))
+        object.__setattr__(truth, "given", records)
+        return truth
+
+    @property
+    def records(self) -> Records:
+        """The arrays as kernels take them, (B,) of TRUTH."""
+        return packed(
+            TRUTH, self.given, position=self.position_enu_m, velocity=self.velocity_enu_mps, heading=self.heading_rad,
+            turn=self.delta_theta_rad, delta_v=self.delta_v_mps, distance=self.distance_m, arc=self.arc_m,
+            lane=self.lane,
+        )  # fmt: skip
 
     @property
     def batch(self) -> int:
@@ -74,12 +93,11 @@ class Truth:
     ) -> Self:
         """:func:`truth_between` without checks, for finite float64 arrays of the correct shapes."""
         batch = heading_rad[1].shape[0]
-        position, velocity, turn, delta_v = np.empty((4, batch, 3))
-        heading, distance = np.empty((2, batch))
-        start, end = (EndRows(position_m[k], velocity_mps[k], heading_rad[k]) for k in range(2))
-        out = TrueMotion(position, velocity, heading, turn, delta_v, distance)
-        between(start, end, -GRAVITY_MPS2 * dt_s, out)
-        return cls(time_s, dt_s, position, velocity, heading, turn, delta_v, distance, arc_m, lane)
+        ends, records = np.empty((2, batch), END), np.empty(batch, TRUTH)
+        ends["position"], ends["velocity"], ends["heading"] = position_m, velocity_mps, heading_rad
+        records["arc"], records["lane"] = arc_m, lane
+        between_rows(ends[0], ends[1], -GRAVITY_MPS2 * dt_s, records)
+        return cls.of(time_s, dt_s, records)
 
 
 def _plane_vectors(name: str, value: ArrayLike, batch: int) -> Array:

@@ -3,66 +3,67 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import remainder
+from lanebound.integrity.core.records import record
 
-__all__ = ["EndRows", "TrueMotion", "all_finite", "between"]
+__all__ = ["END", "TRUTH", "all_finite", "between", "between_rows"]
 
-Array = NDArray[np.float64]
+TRUTH = record(
+    position=("f8", (3,), "ENU, of the reference point at the end of the epoch [m]"),
+    velocity=("f8", (3,), "the same [m/s]"),
+    heading="azimuth at the end [rad]",
+    turn=("f8", (3,), "rotation over the epoch in body axes, forward right down [rad]"),
+    delta_v=("f8", (3,), "integrated specific force in the body axes at the middle of the epoch [m/s]"),
+    distance="signed length of the chord [m]",
+    arc="along the centre line of the street [m]",
+    lane=("i8", "index of the lane, 0 is the rightmost"),
+)
+"""The true motion of a vehicle over an epoch, as in :class:`~lanebound.integrity.motion.truth.Truth`."""
 
-
-class EndRows(NamedTuple):
-    """B vehicles at one end of an epoch: position, velocity (B, 2) East, North; heading (B,) azimuth."""
-
-    position: Array
-    velocity: Array
-    heading: Array
-
-
-class TrueMotion(NamedTuple):
-    """Arrays of a :class:`~lanebound.integrity.motion.truth.Truth`: (B, 3), heading and distance (B,)."""
-
-    position: Array
-    velocity: Array
-    heading: Array
-    turn: Array
-    delta_v: Array
-    distance: Array
-
-
-@jit(borrows=True)
-def between(start, end, down, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` (TrueMotion) from both ends (EndRows) of an epoch; ``down`` [m/s] is what gravity adds.
-
-    ``turn`` and ``delta_v`` are in body axes, forward, right, down, of the middle of the epoch.
-    """
-    for b in range(end.heading.shape[0]):
-        h0, p0, p1, v0, v1 = start.heading[b], start.position, end.position, start.velocity, end.velocity
-        turned = remainder(end.heading[b] - h0)
-        s, c = math.sin(h0 + 0.5 * turned), math.cos(h0 + 0.5 * turned)
-        de, dn = p1[b, 0] - p0[b, 0], p1[b, 1] - p0[b, 1]
-        we, wn = v1[b, 0] - v0[b, 0], v1[b, 1] - v0[b, 1]
-        for k in range(2):
-            out.position[b, k], out.velocity[b, k] = p1[b, k], v1[b, k]
-        out.position[b, 2] = out.velocity[b, 2] = out.turn[b, 0] = out.turn[b, 1] = 0.0
-        out.heading[b] = remainder(end.heading[b])
-        out.turn[b, 2] = turned
-        out.delta_v[b, 0], out.delta_v[b, 1], out.delta_v[b, 2] = s * we + c * wn, c * we - s * wn, down
-        out.distance[b] = math.copysign(math.hypot(de, dn), s * de + c * dn)
+END = record(
+    position=("f8", (2,), "East, North [m]"),
+    velocity=("f8", (2,), "East, North [m/s]"),
+    heading="azimuth [rad]",
+)
+"""A vehicle at one end of an epoch."""
 
 
 @jit
-def all_finite(position, velocity, heading, arc):  # type: ignore[no-untyped-def]
-    """Whether all entries of (B, 3), (B, 3), (B,) and (B,) are finite."""
-    for b in range(heading.shape[0]):
-        total = heading[b] + arc[b]
+def between(start, end, down, truth):  # type: ignore[no-untyped-def]
+    """Fill the motion of a vehicle (TRUTH) from both ends (END) of an epoch; ``down`` [m/s] is what gravity adds.
+
+    ``turn`` and ``delta_v`` are in body axes, forward, right, down, of the middle of the epoch.
+    """
+    turned = remainder(end.heading - start.heading)
+    s, c = math.sin(start.heading + 0.5 * turned), math.cos(start.heading + 0.5 * turned)
+    de, dn = end.position[0] - start.position[0], end.position[1] - start.position[1]
+    we, wn = end.velocity[0] - start.velocity[0], end.velocity[1] - start.velocity[1]
+    for k in range(2):
+        truth.position[k], truth.velocity[k] = end.position[k], end.velocity[k]
+    truth.position[2] = truth.velocity[2] = truth.turn[0] = truth.turn[1] = 0.0
+    truth.heading = remainder(end.heading)
+    truth.turn[2] = turned
+    truth.delta_v[0], truth.delta_v[1], truth.delta_v[2] = s * we + c * wn, c * we - s * wn, down
+    truth.distance = math.copysign(math.hypot(de, dn), s * de + c * dn)
+
+
+@jit
+def between_rows(starts, ends, down, truths):  # type: ignore[no-untyped-def]
+    """:func:`between` for B vehicles, (B,) each."""
+    for b in range(truths.shape[0]):
+        between(starts[b], ends[b], down, truths[b])
+
+
+@jit
+def all_finite(truths):  # type: ignore[no-untyped-def]
+    """Whether position, velocity, heading and arc of all vehicles, (B,) of TRUTH, are finite."""
+    for b in range(truths.shape[0]):
+        truth = truths[b]
+        total = truth.heading + truth.arc
         for k in range(3):
-            total += position[b, k] + velocity[b, k]
+            total += truth.position[k] + truth.velocity[k]
         if not math.isfinite(total):  # a sum with an infinity or NaN is not finite
             return False
     return True

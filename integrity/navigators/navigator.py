@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, is_dataclass
 from enum import Enum
 from functools import lru_cache
 from typing import Any, ClassVar, Self
@@ -373,11 +373,11 @@ class Navigator:
             navigator._require_single(name)
         _hand_over(self.state, other.state, rows, theirs)
         mine, network = self.state.area.network, other.state.area.network
-        mine.begun[rows] = mine.epoch - network.own_epoch[theirs]
+        mine.areas["begun"][rows] = mine.epoch - network.own_epoch[theirs]
 
     def _require_single(self, name: str) -> None:
         """Raise InputError unless vehicles share nothing, neither generators nor areas nor a schedule of faults."""
-        areas, seeds = self.state.area.network.up.shape[0], self.state.streams.seeds
+        areas, seeds = self.state.area.network.areas.size, self.state.streams.seeds
         if areas != self.batch:
             raise InputError(f"{name} must have an area for each of {self.batch} vehicles, got {areas}: "
                              "give it no area_seed")  # fmt: skip
@@ -463,7 +463,7 @@ class Navigator:
         """
         self._require_fitting(truth)
         if sky is None:
-            if self.state.area.network.begun.any():
+            if self.state.area.network.areas["begun"].any():
                 raise InputError("sky must be given for vehicles that were adopted, got None: each has its own time")
             sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
         if self.faults.faults and self.faults.active(truth.time_s):
@@ -478,11 +478,11 @@ class Navigator:
         """The measurements with those of chassis, compass and barometer, where they are fitted."""
         c, s = self.config, self.state
         if s.chassis is not None:
-            m = replace(m, chassis=sample_chassis(c.chassis, s.chassis, truth, effects, s.streams))
+            m = m.with_samples(chassis=sample_chassis(c.chassis, s.chassis, truth, effects, s.streams))
         if s.compass is not None:
-            m = replace(m, compass=sample_compass(c.compass, s.compass, truth, s.streams))
+            m = m.with_samples(compass=sample_compass(c.compass, s.compass, truth, s.streams))
         if s.barometer is not None:
-            m = replace(m, barometer=sample_barometer(c.barometer, s.barometer, at_antenna, s.streams))
+            m = m.with_samples(barometer=sample_barometer(c.barometer, s.barometer, at_antenna, s.streams))
         return m
 
     def _require_fitting(self, truth: Truth) -> None:
@@ -491,7 +491,7 @@ class Navigator:
             raise InputError(f"truth must have {self.batch} vehicles, got {truth.batch}: one row for each seed")
         if abs(truth.dt_s - self.config.dt_s) > 1e-9:
             raise InputError(f"truth.dt_s must be {self.config.dt_s}, got {truth.dt_s}: step at the navigator's rate")
-        if not all_finite(truth.position_enu_m, truth.velocity_enu_mps, truth.heading_rad, truth.arc_m):
+        if not all_finite(truth.records):
             for name in ("position_enu_m", "velocity_enu_mps", "heading_rad", "arc_m"):
                 require_finite(f"truth.{name}", getattr(truth, name))
 

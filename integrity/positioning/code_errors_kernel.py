@@ -74,31 +74,31 @@ CODE_PARTS = record(
 """Parts of the variance of a code."""
 
 
-@jit(borrows=True)
+@jit
 def variance_factor(sine: float, cn0: float, knee: float) -> float:
     """``f = (1 + 1/sin^2 el)/2 (1 + 10^((knee - C/N0)/10))``: 1 at the zenith, doubled at the knee."""
     return 0.5 * (1.0 + 1.0 / (sine * sine)) * (1.0 + math.exp(TENTH * (knee - cn0)))
 
 
-@jit(borrows=True)
+@jit
 def ionosphere_slant(sine: float) -> float:
     """F: slant over vertical delay of a shell at 350 km, by the sine of the elevation."""
     return 1.0 / math.sqrt(1.0 - EARTH_RATIO**2 * (1.0 - sine * sine))
 
 
-@jit(borrows=True)
+@jit
 def troposphere_slant(sine: float) -> float:
     """m: slant over zenith delay, ``1.001 / sqrt(0.002001 + sin^2 el)``."""
     return 1.001 / math.sqrt(0.002001 + sine * sine)
 
 
-@jit(borrows=True)
+@jit
 def receiver_variance(rules: Any, factor: float, white: float, lasting: float) -> float:
     """Variance of noise and multipath of the code of one band; ``white`` and ``lasting`` as smoothing leaves them."""
     return float(factor * (white * rules.noise * rules.noise + lasting * rules.multipath * rules.multipath))
 
 
-@jit(borrows=True)
+@jit
 def multipath_time(rules: Any, speed: float, still: float) -> float:
     """Longest correlation time of multipath at a speed: ``length / speed``, from that of motion to that at rest."""
     if not abs(speed) > still:
@@ -106,13 +106,13 @@ def multipath_time(rules: Any, speed: float, still: float) -> float:
     return float(min(max(rules.moving_tau, rules.length / abs(speed)), rules.rest_tau))
 
 
-@jit(borrows=True)
+@jit
 def satellite_variance(rules: Any, declared: float, age: float) -> float:
     """Variance of ephemeris and clock: as declared at age 0, and growing with the age [s] of a correction."""
     return float(declared * declared + rules.satellite_growth * age)
 
 
-@jit(borrows=True)
+@jit
 def ionosphere_variance(rules: Any, slant: float, declared: float, age: float) -> tuple[float, float]:
     """Variance of each satellite's own slant delay, and the effect of the common one [m].
 
@@ -122,7 +122,7 @@ def ionosphere_variance(rules: Any, slant: float, declared: float, age: float) -
     return slant * slant * vertical, (slant - 1.0) * rules.iono * math.sqrt(rules.iono_common)
 
 
-@jit(borrows=True)
+@jit
 def troposphere_variance(rules: Any, slant: float) -> float:
     """Variance of the residual troposphere in one range, as if it were each range's own."""
     return float(((slant - 1.0) * rules.tropo) ** 2)

@@ -52,7 +52,7 @@ class Deviations(NamedTuple):
     code: float = math.inf
 
 
-@jit(borrows=True)
+@jit
 def sorted_median(values, count):  # type: ignore[no-untyped-def]
     """Median of the first ``count`` values, which are sorted in place: quicker than a partition for a dozen of them."""
     for i in range(1, count):
@@ -84,7 +84,7 @@ def remove_common(change, member, system, n_systems, out):  # type: ignore[no-un
                 out[s] = change[s] - middle if member[s] else math.nan
 
 
-@jit(borrows=True)
+@jit
 def detect_slip(change: Changes, lambda_1: float, lambda_2: float, deviation: Deviations, k: float) -> int:
     """Which tests find a slip: NO_SLIP or a sum of GEOMETRY_FREE, PREDICTED and CODE_PHASE.
 

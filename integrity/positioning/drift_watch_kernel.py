@@ -30,7 +30,7 @@ decides only how long RTK waits (:func:`blames_odometer`).
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
@@ -39,7 +39,6 @@ __all__ = [
     "ANCHOR",
     "DRIFT",
     "DRIFT_RULES",
-    "DriftWatch",
     "advance",
     "allowed",
     "begin_watch",
@@ -111,26 +110,19 @@ LEAST_PATH_M = 2.0  # of a window that tells scale and course
 LARGEST_COURSE = 0.2  # K sigmas of the course up to which sines are angles [rad]; it shortens the path by 2 %
 
 
-class DriftWatch(NamedTuple):
-    """Drift watches of B vehicles: rows (B,) of DRIFT and anchors (B, N) of ANCHOR, in a ring; N = 0: none."""
-
-    rows: Records
-    anchors: Records
-
-
-@jit(borrows=True)
+@jit
 def odometer_variance(moving: float, sigma: float, tau: float) -> float:
     """Variance of the distance by a Gauss-Markov error of the speed over a time [m^2]."""
     return 2.0 * sigma * sigma * tau * (moving - tau * (1.0 - math.exp(-moving / tau)))
 
 
-@jit(borrows=True)
+@jit
 def begin_watch(d: Any) -> None:
     """Forget all anchors: there is no RTK position, or it is not trusted; s and c remain."""
     d.anchors, d.next, d.since_anchor = 0, 0, 0.0
 
 
-@jit(borrows=True)
+@jit
 def advance(
     dt: float, distance: float, slip: float, turning: float, resting: bool, walk: float, rules: Any, d: Any
 ) -> None:
@@ -157,7 +149,7 @@ def advance(
     d.since_anchor += dt
 
 
-@jit(borrows=True)
+@jit
 def fold_doppler(dt: float, tested: bool, v_e: float, v_n: float, d: Any) -> None:
     """Advance the path by Doppler by the velocity (v_e, v_n) [m/s] at the end of an epoch, if it is ``tested``."""
     if tested:
@@ -170,7 +162,7 @@ def fold_doppler(dt: float, tested: bool, v_e: float, v_n: float, d: Any) -> Non
     d.seen = tested
 
 
-@jit(borrows=True)
+@jit
 def walk_of(noise: float, p_bias: float, p_scale: float, turning: float, rules: Any) -> float:
     """Variance rate of a random walk that bounds the gyro's error over any window [rad^2/s].
 
@@ -180,7 +172,7 @@ def walk_of(noise: float, p_bias: float, p_scale: float, turning: float, rules: 
     return float(noise * noise + p_bias * rules.window + p_scale * math.pi * abs(turning))
 
 
-@jit(borrows=True)
+@jit
 def find_drift(
     east: float, north: float, variance: float, speed: float, rules: Any, d: Any, anchors: Records
 ) -> int:  # fmt: skip
@@ -198,7 +190,7 @@ def find_drift(
     return found
 
 
-@jit(borrows=True)
+@jit
 def rates_of(
     east: float, north: float, variance: float, speed: float, rules: Any, d: Any, anchors: Records
 ) -> tuple[float, float]:
@@ -221,7 +213,7 @@ def rates_of(
     return rate_along, rate_across
 
 
-@jit(borrows=True)
+@jit
 def blames_odometer(
     east: float, north: float, variance: float, speed: float, rules: Any, d: Any, anchor: Any
 ) -> bool:  # fmt: skip
@@ -243,7 +235,7 @@ def blames_odometer(
     return bool(math.hypot(off_e, off_n) < 0.5 * math.hypot(along, across))
 
 
-@jit(borrows=True)
+@jit
 def misfit(east: float, north: float, d: Any, anchor: Any) -> tuple[float, float, float, float]:
     """Misfit along and across the window's path [m], less that of scale and course; sine and cosine of its azimuth."""
     at = anchor.at
@@ -256,7 +248,7 @@ def misfit(east: float, north: float, d: Any, anchor: Any) -> tuple[float, float
     return along, across, sin_u, cos_u
 
 
-@jit(borrows=True)
+@jit
 def allowed(variance: float, speed: float, rules: Any, d: Any, anchor: Any) -> tuple[float, float]:
     """What a healthy window may misfit by along and across [m]."""
     at = anchor.at
@@ -283,7 +275,7 @@ def allowed(variance: float, speed: float, rules: Any, d: Any, anchor: Any) -> t
     return most_along, most_across
 
 
-@jit(borrows=True)
+@jit
 def learn(
     east: float, north: float, variance: float, speed: float, heading: float, p_course: float, rules: Any, d: Any,
     anchors: Records,
@@ -331,13 +323,13 @@ def learn(
     d.anchors = min(d.anchors + 1, n)
 
 
-@jit(borrows=True)
+@jit
 def _course_known(p_course: float, rules: Any) -> bool:
     """Whether a course of this variance [rad^2] is good enough to learn from a window."""
     return bool(rules.k * math.sqrt(p_course) < LARGEST_COURSE)
 
 
-@jit(borrows=True)
+@jit
 def copy_watch(source: Any, to: Any) -> None:
     """Copy what windows compare."""
     to.path_e, to.path_n, to.turned = source.path_e, source.path_n, source.turned

@@ -42,7 +42,7 @@ from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3
 from lanebound.integrity.positioning.rtk_kernel import Carriers, first_wavelength, obliquity, owner_of
 
 __all__ = [
-    "FILTER_ROW", "MEASURED", "SLOT", "STATES", "FilterRow", "Filtered", "add_epoch", "assign_slots", "drop_slot",
+    "FILTER_ROW", "MEASURED", "SLOT", "STATES", "Filters", "add_epoch", "assign_slots", "drop_slot",
     "fade", "filter_of", "filtered_ambiguities", "find_searchable", "follows", "invert_positive",
 ]  # fmt: skip
 
@@ -78,14 +78,13 @@ FILTER_ROW = record(
 """What it stores of one vehicle."""
 
 
-class Filtered(NamedTuple):
+class Filters(NamedTuple):
     """Filters of B vehicles, or, without the first axis, of one; n = 3 K + 1 states, 3 K + 4 of a receiver that stands.
 
-    rows (B,) of FILTER_ROW; slots (B, K) of SLOT; normal (B, n, n), rhs (B, n); spread (B, n, n), the S of the module;
-    memory (B, 4 K, n), its W with a row for each measurement.
+    slots (B, K) of SLOT; normal (B, n, n), rhs (B, n); spread (B, n, n), the S of the module; memory (B, 4 K, n), its W
+    with a row for each measurement.
     """
 
-    rows: Records
     slots: Records
     normal: Array
     rhs: Array
@@ -93,46 +92,36 @@ class Filtered(NamedTuple):
     memory: Array
 
 
-class FilterRow(NamedTuple):
-    """The filter of one vehicle: ``Filtered`` without rows and without the axis of vehicles."""
-
-    slots: Records
-    normal: Array
-    rhs: Array
-    spread: Array
-    memory: Array
-
-
-class _Rows(NamedTuple):
-    """Measurements of an epoch, (R,): row of the memory, slot, state of the ambiguity (-1 for codes) and its factor,
-    factors of ionosphere and zenith delay, line of sight (R, 3), weight, value [m], group of its clock. The slot is
-    that of its ionosphere."""
-
-    row: Ints
-    slot: Ints
-    state: Ints
-    wavelength: Array
-    ionosphere: Array
-    zenith: Array
-    los: Array
-    weight: Array
-    y: Array
-    group: Ints
+MEASUREMENT = record(
+    row=("i8", "row of the memory"),
+    slot=("i8", "slot of its ionosphere"),
+    state=("i8", "of the ambiguity, -1 for codes"),
+    wavelength="factor of the ambiguity [m]",
+    ionosphere="factor of the ionosphere [-]",
+    zenith="factor of the zenith delay [-]",
+    los=("f8", (3,), "unit vector from the satellite"),
+    weight="[1/m^2]",
+    y="[m]",
+    group=("i8", "clock"),
+)
+"""A measurement of an epoch."""
 
 
-@jit(borrows=True)
-def filter_of(filtered: Filtered, v: int) -> FilterRow:
-    """The filter of vehicle v."""
-    return FilterRow(filtered.slots[v], filtered.normal[v], filtered.rhs[v], filtered.spread[v], filtered.memory[v])
+@jit
+def filter_of(filters: Filters | None, v: int) -> Filters | None:
+    """The filter of vehicle v; None where floats come from single epochs."""
+    if filters is None:
+        return None
+    return Filters(filters.slots[v], filters.normal[v], filters.rhs[v], filters.spread[v], filters.memory[v])
 
 
-@jit(borrows=True)
-def stands(own: FilterRow) -> bool:
+@jit
+def stands(own: Filters) -> bool:
     """Whether the position is a state of the filter."""
     return bool(own.rhs.shape[0] > STATES * own.slots.shape[0] + 1)
 
 
-@jit(borrows=True)
+@jit
 def follows(slots: Records, s: int) -> int:
     """The slot in which satellite s is followed, -1 for none."""
     for k in range(slots.shape[0]):
@@ -141,7 +130,7 @@ def follows(slots: Records, s: int) -> int:
     return -1
 
 
-@jit(borrows=True)
+@jit
 def prior_factor(slot: Any) -> float:
     """``kappa = c / n`` of a slot; 1 before its first epoch."""
     return slot.both / slot.white if slot.white > 0.0 else 1.0
@@ -166,7 +155,7 @@ def find_searchable(candidate: Bools, satellites: Records, ambiguities: Records,
 
 
 @jit
-def fade(own: FilterRow, gap_s: float, rules: Any) -> None:
+def fade(own: Filters, gap_s: float, rules: Any) -> None:
     """Fade what is known by ``gap_s`` [s]; rules of RTK_RULES."""
     gamma = math.exp(-gap_s / rules.filter.memory)
     keep = gamma * math.exp(-gap_s / rules.filter.code_tau), gamma * math.exp(-gap_s / rules.filter.phase_tau)
@@ -188,7 +177,7 @@ def fade(own: FilterRow, gap_s: float, rules: Any) -> None:
 
 
 @jit
-def drop_slot(own: FilterRow, k: int, rules: Any) -> None:
+def drop_slot(own: Filters, k: int, rules: Any) -> None:
     """Take the states of a slot out of the filter; what they tell of the other states stays (Schur complement)."""
     slots, normal, rhs, spread, memory = own
     n, sigma = rhs.shape[0], rules.filter.ionosphere
@@ -223,9 +212,7 @@ def drop_slot(own: FilterRow, k: int, rules: Any) -> None:
 
 
 @jit
-def assign_slots(
-    own: FilterRow, carriers: Carriers, code: Array, order: Ints, count: int, ambiguities: Records, rules: Any
-) -> None:
+def assign_slots(own: Filters, carriers: Carriers, order: Ints, count: int, ambiguities: Records, rules: Any) -> None:
     """Begin to follow satellites of ``order`` (count,), held ones first, further signals last, where a slot is free.
 
     A satellite gets the slot that it had before, if that is free: errors of its measurements may last.
@@ -254,31 +241,29 @@ def assign_slots(
             slot.satellite, slot.assigned, slot.followed, slot.broken = s, True, True, False
             slot.held, slot.fix_id = ambiguities[s].held, ambiguities[s].fix_id
             slot.white, slot.lasting, slot.both = 0.0, 0.0, 0.0
+            signal = carriers.signals[s]
             for b in range(2):
                 slot.last_phase[b], slot.whole[b] = 0.0, 0.0
                 if b < rules.bands:
-                    cycles = (carriers.phase[s, b] - code[s, b]) / carriers.satellites[s].wavelength[b]
+                    cycles = (signal.phase[b] - signal.code[b]) / carriers.satellites[s].wavelength[b]
                     slot.whole[b] = math.floor(cycles + 0.5)
 
 
 @jit
 def _measurements(
-    own: FilterRow, carriers: Carriers, code: Array, variance_code: Array, coded: Bools, used: Bools, rules: Any
-) -> tuple[_Rows, int]:
+    own: Filters, carriers: Carriers, variance_code: Array, coded: Bools, used: Bools, rules: Any
+) -> tuple[Records, int]:
     """The measurements of an epoch of all satellites that are followed and used, and their number."""
     slots, most = own.slots, MEASURED * own.slots.shape[0]
-    out = _Rows(
-        np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(most), np.zeros(most),
-        np.zeros(most), np.empty((most, 3)), np.empty(most), np.empty(most), np.empty(most, np.int64),
-    )  # fmt: skip
-    n = 0
+    out, n = np.zeros(most, MEASUREMENT), 0
     for k in range(slots.shape[0]):
         s = slots[k].satellite
         owner = owner_of(carriers.satellites, s)
         if not (slots[k].followed and used[s] and used[owner]):
             continue
         host = k if owner == s else follows(slots, owner)
-        satellite, sine = carriers.satellites[s], max(carriers.los[s, 2], 0.05)
+        satellite, signal = carriers.satellites[s], carriers.signals[s]
+        sine = max(signal.e[2], 0.05)
         oblique = obliquity(sine)
         for phase in range(2):
             if phase == 0 and not coded[s]:
@@ -286,37 +271,38 @@ def _measurements(
             for b in range(rules.bands):
                 wavelength = satellite.wavelength[b]
                 sign = 1.0 if phase == 0 else -1.0
-                out.row[n], out.slot[n] = MEASURED * k + 2 * phase + b, host
-                out.state[n] = STATES * k + b if phase == 1 else -1
-                out.wavelength[n] = wavelength
-                out.ionosphere[n] = sign * oblique * (wavelength / first_wavelength(satellite)) ** 2
-                out.zenith[n] = 1.0 / sine
+                m = out[n]
+                m.row, m.slot = MEASURED * k + 2 * phase + b, host
+                m.state = STATES * k + b if phase == 1 else -1
+                m.wavelength = wavelength
+                m.ionosphere = sign * oblique * (wavelength / first_wavelength(satellite)) ** 2
+                m.zenith = 1.0 / sine
                 for c in range(3):
-                    out.los[n, c] = -carriers.los[s, c]
-                out.weight[n] = 1.0 / (carriers.variance[s] if phase == 1 else variance_code[s])
-                out.y[n] = carriers.phase[s, b] - wavelength * slots[k].whole[b] if phase == 1 else code[s, b]
-                out.group[n] = 4 * satellite.system + 2 * phase + b
+                    m.los[c] = -signal.e[c]
+                m.weight = 1.0 / (carriers.variance[s] if phase == 1 else variance_code[s])
+                m.y = signal.phase[b] - wavelength * slots[k].whole[b] if phase == 1 else signal.code[b]
+                m.group = 4 * satellite.system + 2 * phase + b
                 n += 1
     return out, n
 
 
 @jit
-def _projected(rows: _Rows, n: int, stands: bool, out: Array) -> bool:
+def _projected(rows: Records, n: int, stands: bool, out: Array) -> bool:
     """Weight matrix ``out`` (n, n) after elimination of clocks and, unless it is a state, of the position; False where
     the position is singular."""
     total, mean = np.zeros(4 * MAX_GROUPS), np.zeros((4 * MAX_GROUPS, 3))
     for r in range(n):
-        total[rows.group[r]] += rows.weight[r]
+        total[rows[r].group] += rows[r].weight
         for c in range(3):
-            mean[rows.group[r], c] += rows.weight[r] * rows.los[r, c]
+            mean[rows[r].group, c] += rows[r].weight * rows[r].los[c]
     pull, normal, q = np.empty((n, 3)), np.zeros((3, 3)), np.empty((3, 3))
     for r in range(n):
-        g, w = rows.group[r], rows.weight[r]
+        g, w, los = rows[r].group, rows[r].weight, rows[r].los
         for c in range(3):
-            pull[r, c] = w * (rows.los[r, c] - mean[g, c] / total[g])
+            pull[r, c] = w * (los[c] - mean[g, c] / total[g])
         for c in range(3):
             for d in range(3):
-                normal[c, d] += pull[r, c] * (rows.los[r, d] - mean[g, d] / total[g])
+                normal[c, d] += pull[r, c] * (los[d] - mean[g, d] / total[g])
     q[:] = 0.0
     if not stands and not invert_3x3(normal, q):
         return False
@@ -326,47 +312,46 @@ def _projected(rows: _Rows, n: int, stands: bool, out: Array) -> bool:
         c = q[2, 0] * pull[r, 0] + q[2, 1] * pull[r, 1] + q[2, 2] * pull[r, 2]
         for r2 in range(n):
             value = -(a * pull[r2, 0] + b * pull[r2, 1] + c * pull[r2, 2])
-            if rows.group[r] == rows.group[r2]:
-                value -= rows.weight[r] * rows.weight[r2] / total[rows.group[r]]
+            if rows[r].group == rows[r2].group:
+                value -= rows[r].weight * rows[r2].weight / total[rows[r].group]
             out[r, r2] = value
-        out[r, r] += rows.weight[r]
+        out[r, r] += rows[r].weight
     return True
 
 
 @jit
-def add_epoch(
-    own: FilterRow, carriers: Carriers, code: Array, variance_code: Array, coded: Bools, used: Bools, rules: Any
-) -> bool:
+def add_epoch(own: Filters, carriers: Carriers, variance_code: Array, coded: Bools, used: Bools, rules: Any) -> bool:
     """Add the measurements of an epoch; :func:`fade` comes before. False: too few satellites, nothing is added.
 
-    code (S, 2) [m], variance_code (S,) of one band; coded, used (S,): whose code, and which satellites, are taken.
+    variance_code (S,) of one band; coded, used (S,): whose code, and which satellites, are taken.
     """
     normal, rhs, spread, memory = own.normal, own.rhs, own.spread, own.memory
-    rows, n = _measurements(own, carriers, code, variance_code, coded, used, rules)
+    rows, n = _measurements(own, carriers, variance_code, coded, used, rules)
     weight, size = np.empty((n, n)), rhs.shape[0]
     position = STATES * own.slots.shape[0] if stands(own) else size  # its states
     if n == 0 or not _projected(rows, n, stands(own), weight):
         return False
     influence = np.zeros((n, size))  # B'
     for r in range(n):
-        zenith = size - 1
+        zenith, row = size - 1, rows[r]
         for r2 in range(n):
-            if rows.state[r] >= 0:
-                influence[r2, rows.state[r]] += rows.wavelength[r] * weight[r, r2]
-            influence[r2, STATES * rows.slot[r] + 2] += rows.ionosphere[r] * weight[r, r2]
-            influence[r2, zenith] += rows.zenith[r] * weight[r, r2]
+            if row.state >= 0:
+                influence[r2, row.state] += row.wavelength * weight[r, r2]
+            influence[r2, STATES * row.slot + 2] += row.ionosphere * weight[r, r2]
+            influence[r2, zenith] += row.zenith * weight[r, r2]
             for i in range(position, zenith):
-                influence[r2, i] += rows.los[r, i - position] * weight[r, r2]
+                influence[r2, i] += row.los[i - position] * weight[r, r2]
     for r in range(n):
+        row = rows[r]
         for i in range(size):
             pull = influence[r, i]
-            rhs[i] += pull * rows.y[r]
-            if rows.state[r] >= 0:
-                normal[i, rows.state[r]] += rows.wavelength[r] * pull
-            normal[i, STATES * rows.slot[r] + 2] += rows.ionosphere[r] * pull
-            normal[i, size - 1] += rows.zenith[r] * pull
+            rhs[i] += pull * row.y
+            if row.state >= 0:
+                normal[i, row.state] += row.wavelength * pull
+            normal[i, STATES * row.slot + 2] += row.ionosphere * pull
+            normal[i, size - 1] += row.zenith * pull
             for j in range(position, size - 1):
-                normal[i, j] += rows.los[r, j - position] * pull
+                normal[i, j] += row.los[j - position] * pull
     for k in range(own.slots.shape[0]):
         slot = own.slots[k]
         if slot.followed and used[slot.satellite]:
@@ -374,7 +359,7 @@ def add_epoch(
             slot.lasting += 1.0
             slot.white += 1.0
     for r in range(n):
-        last, now, deviation = memory[rows.row[r]], influence[r], 1.0 / math.sqrt(rows.weight[r])
+        last, now, deviation = memory[rows[r].row], influence[r], 1.0 / math.sqrt(rows[r].weight)
         for i in range(size):
             now[i] *= deviation
         for i in range(size):
@@ -420,7 +405,7 @@ def invert_positive(matrix: Array, n: int, out: Array) -> bool:
 
 
 @jit
-def _references(own: FilterRow, carriers: Carriers, order: Ints, count: int, ambiguities: Records, out: Ints) -> None:
+def _references(own: Filters, carriers: Carriers, order: Ints, count: int, ambiguities: Records, out: Ints) -> None:
     """The slot in each system (MAX_GROUPS,) from which ambiguities count: a held one, or the most precise one."""
     slots, satellites = own.slots, carriers.satellites
     out[:] = -1
@@ -439,7 +424,7 @@ def _references(own: FilterRow, carriers: Carriers, order: Ints, count: int, amb
 
 @jit
 def _unknowns(
-    own: FilterRow, carriers: Carriers, order: Ints, count: int, ambiguities: Records, reference: Ints, rules: Any,
+    own: Filters, carriers: Carriers, order: Ints, count: int, ambiguities: Records, reference: Ints, rules: Any,
     owner: Ints, unknown: Ints, known: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """The states to estimate: fills ``unknown`` (n,), those of the candidates of ``order`` first, whose satellites are
@@ -486,7 +471,7 @@ def _unknowns(
 
 @jit
 def filtered_ambiguities(
-    carriers: Carriers, order: Ints, count: int, ambiguities: Records, own: FilterRow, rules: Any, ambiguity: Array,
+    carriers: Carriers, order: Ints, count: int, ambiguities: Records, own: Filters, rules: Any, ambiguity: Array,
     q_a: Array, owner: Ints,
 ) -> int:  # fmt: skip
     """Float ambiguities of ``count`` satellites, all followed, and their covariance, as ``float_ambiguities`` does.

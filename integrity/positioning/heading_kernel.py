@@ -97,7 +97,7 @@ CALIBRATION = record(
 """When Doppler calibrates the heading (S1 table 1, third column)."""
 
 
-@jit(borrows=True)
+@jit
 def copy_heading(source: Any, to: Any) -> None:
     """Copy what a heading filter knows of its errors; it then has none in common with Doppler errors of the past."""
     to.angle, to.gyro_bias, to.gyro_scale = source.angle, source.gyro_bias, source.gyro_scale
@@ -107,7 +107,7 @@ def copy_heading(source: Any, to: Any) -> None:
     to.noise[:, :], to.white[:, :] = 0.0, 0.0
 
 
-@jit(borrows=True)
+@jit
 def predict_heading(delta_theta: float, dt: float, arw: float, bias_walk: float, h: Any) -> None:
     """Advance the heading filter by one gyro increment [rad] less its bias and scale error: ``P' = F P F' + Q``.
 
@@ -122,14 +122,14 @@ def predict_heading(delta_theta: float, dt: float, arw: float, bias_walk: float,
     h.axle_h -= dt * h.axle_b + delta_theta * h.axle_s
 
 
-@jit(borrows=True)
+@jit
 def rest_heading(delta_theta: float, dt: float, arw: float, bias_walk: float, h: Any) -> Any:
     """Learn the gyro bias at rest (ZUPT, S1 figure 1), where it walks as well. Returns the gains of the update."""
     h.p_bb += bias_walk * bias_walk * dt
     return correct(delta_theta / dt - h.gyro_bias, 0.0, 1.0, arw * arw / dt, h)
 
 
-@jit(borrows=True)
+@jit
 def expect_turn(delta_theta: float, dt: float, arw: float, slip_rate: float, h: Any, turn: Any) -> None:
     """Fill ``turn`` (TURN) before :func:`predict_heading`, with gains 0.
 
@@ -151,7 +151,7 @@ def expect_turn(delta_theta: float, dt: float, arw: float, slip_rate: float, h: 
         turn.mean_noise[i] = h.noise[i, 0] - half_t * h.noise[i, 1] - half_d * h.noise[i, 2]
 
 
-@jit(borrows=True)
+@jit
 def correct(innovation: float, h_heading: float, h_bias: float, variance: float, h: Any) -> tuple[float, float, float]:
     """Kalman update with ``innovation = h_heading d_heading + h_bias d_bias + noise`` of this variance; the gains."""
     ph = h_heading * h.p_hh + h_bias * h.p_hb
@@ -170,7 +170,7 @@ def correct(innovation: float, h_heading: float, h_bias: float, variance: float,
     return kh, kb, ks
 
 
-@jit(borrows=True)
+@jit
 def observe(gains: tuple[float, float, float], rests: bool, axle: float, h: Any, turn: Any) -> None:
     """Apply a correction to what ``turn`` says of the errors, and to the part of them that the axle distance causes.
 
@@ -187,7 +187,7 @@ def observe(gains: tuple[float, float, float], rests: bool, axle: float, h: Any,
     h.axle_s += gains[2] * off
 
 
-@jit(borrows=True)
+@jit
 def correlate(decay: float, white: float, h: Any, turn: Any) -> None:
     """Advance the covariances of the Doppler errors with x by an epoch, after its correction.
 
@@ -215,7 +215,7 @@ def correlate(decay: float, white: float, h: Any, turn: Any) -> None:
             turn.now[i, j] = h.noise[i, j] + h.white[i, j]
 
 
-@jit(borrows=True)
+@jit
 def raise_uncertainty(heading: float, bias: float, scale: float, h: Any) -> None:
     """Add independent errors of these standard deviations to the three states; covariances stay valid."""
     h.p_hh += heading * heading
@@ -223,7 +223,7 @@ def raise_uncertainty(heading: float, bias: float, scale: float, h: Any) -> None
     h.p_ss += scale * scale
 
 
-@jit(borrows=True)
+@jit
 def doppler_heading_usable(v_gnss: float, v_ss: float, hdop: float, jump: float, limits: Any) -> bool:
     """S1 table 1, third column, and S2's jump limit, for the speeds of Doppler and odometer [m/s]."""
     return bool(
@@ -234,7 +234,7 @@ def doppler_heading_usable(v_gnss: float, v_ss: float, hdop: float, jump: float,
     )
 
 
-@jit(borrows=True)
+@jit
 def doppler_heading_variance(v_e: float, v_n: float, q_ee: float, q_en: float, q_nn: float) -> float:
     """Variance of atan2(vE, vN) [rad^2]: the cross-track velocity variance over the squared speed."""
     v2 = v_e * v_e + v_n * v_n

@@ -21,13 +21,13 @@ MODE_LIMITS = record(
 """ModeConfig as kernels take it."""
 
 
-@jit(borrows=True)
+@jit
 def doppler_usable(solved: bool, v_gnss: float, v_ss: float, hdop: float, limits: Any) -> bool:
     """S1 table 1, second column: the Doppler velocity agrees with the odometer and its geometry is good."""
     return bool(solved and abs(v_gnss - abs(v_ss)) < limits.doppler_agreement and hdop < limits.doppler_max_hdop)
 
 
-@jit(borrows=True)
+@jit
 def speed_dilution(v_e: float, v_n: float, sin_h: float, cos_h: float, q: Any, sigma: float) -> float:
     """SDOP: 1 sigma of the speed over ``sigma``, that of a range rate at the zenith; q (3, 3) of the velocity.
 
@@ -38,7 +38,7 @@ def speed_dilution(v_e: float, v_n: float, sin_h: float, cos_h: float, q: Any, s
     return math.sqrt(max(s * s * q[0, 0] + 2.0 * s * c * q[0, 1] + c * c * q[1, 1], 0.0)) / sigma
 
 
-@jit(borrows=True)
+@jit
 def rtk_usable(hdop: float, limits: Any) -> bool:
     """S1 table 1, first column: the geometry of the fixed position is good."""
     return bool(hdop < limits.rtk_max_hdop)

@@ -48,7 +48,7 @@ WATCH_LIMITS = record(
 STANDING_MPS = 0.02  # slower is no pulse
 
 
-@jit(borrows=True)
+@jit
 def turning_at_rest(dt: float, speed: float, rate: float, limits: Any, w: Any) -> bool:
     """Whether the gyro turns, at ``rate`` [rad/s], while the odometer shows rest; counts how long in ``w``."""
     turning = abs(speed) < STANDING_MPS and abs(rate) > limits.still_rate
@@ -56,7 +56,7 @@ def turning_at_rest(dt: float, speed: float, rate: float, limits: Any, w: Any) -
     return turning
 
 
-@jit(borrows=True)
+@jit
 def _misfit(dt: float, speed: float, forward: float, lateral: float, rate: float, limits: Any, w: Any) -> bool:
     """Advance both sums; True when one exceeds what noise may do, and both then start from zero."""
     allowed = dt * (limits.allowed + limits.lever * rate * rate) + limits.misalignment * abs(lateral)
@@ -69,7 +69,7 @@ def _misfit(dt: float, speed: float, forward: float, lateral: float, rate: float
     return True
 
 
-@jit(borrows=True)
+@jit
 def watch_odometer(
     dt: float, speed: float, forward: float, lateral: float, rate: float, conflict: bool, agrees: bool, limits: Any,
     w: Any,

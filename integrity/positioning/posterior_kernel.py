@@ -31,7 +31,7 @@ SKIPPED = 1e-4  # of the limit: branches of less are bounded, not searched
 SAME = 1e-9  # a weight within it of the best one is the best vector itself
 
 
-@jit(borrows=True)
+@jit
 def row_sum(variance: float) -> float:
     """``sum_k exp(-k^2 / (2 variance))`` over all integers: the largest sum over a row of them.
 

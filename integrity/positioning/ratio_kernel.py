@@ -53,7 +53,7 @@ MU = np.array(
 )  # [limit, n, failure rate]: every cell by tests/reference/plain_ratio_test.py, simulate_thresholds
 
 
-@jit(borrows=True)
+@jit
 def _position(grid: Array, value: float) -> tuple[int, float]:
     """Interval of an ascending grid and the fraction within it, in the logarithm, clipped to the grid."""
     last = grid.shape[0] - 1

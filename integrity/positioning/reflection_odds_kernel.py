@@ -22,7 +22,6 @@ __all__ = ["LARGEST_SET", "REFLECTION_RULES", "find_sets", "keep_trusted", "odds
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 LARGEST_SET = 3
 HALVINGS = 24  # of the odds from which on sets are monitored, beginning with the limit
@@ -40,19 +39,20 @@ REFLECTION_RULES = record(
 """ReflectionHypothesesConfig as kernels take it."""
 
 
-@jit(borrows=True)
+@jit
 def odds_of(rules: Any, sine: float, cn0: float) -> float:
     """Odds that a signal is off [-], by the sine of its elevation and its C/N0 [dB-Hz]."""
     loss = rules.horizon + (rules.zenith - rules.horizon) * sine - cn0
     return float(rules.most / (1.0 + math.exp((rules.centre - loss) / rules.scale)))
 
 
-@jit(borrows=True)
-def update_odds(los: Array, cn0: Array, tracked: Bools, satellites: Records, rules: Any, ambiguities: Records) -> None:
+@jit
+def update_odds(signals: Records, satellites: Records, rules: Any, ambiguities: Records) -> None:
     """Set the odds of the satellites that are tracked; those of held integers only grow."""
-    for s in range(tracked.shape[0]):
-        if tracked[s]:
-            odds = odds_of(rules, los[s, 2], cn0[s]) + satellites[s].prior
+    for s in range(signals.shape[0]):
+        signal = signals[s]
+        if signal.tracked:
+            odds = odds_of(rules, signal.e[2], signal.cn0) + satellites[s].prior
             ambiguity = ambiguities[s]
             ambiguity.odds = max(ambiguity.odds, odds) if ambiguity.held else odds
 
@@ -87,7 +87,7 @@ def find_sets(odds: Array, n: int, rules: Any, sets: Ints) -> tuple[int, float]:
     return -1, left
 
 
-@jit(borrows=True)
+@jit
 def _sets_above(least: float, odds: Array, order: Ints, most: int, sets: Ints) -> tuple[int, float]:
     """Number and total odds of the sets of two and three with odds of ``least`` and more; -1: above ``most``."""
     n, count, seen = order.shape[0], 0, 0.0
@@ -108,15 +108,15 @@ def _sets_above(least: float, odds: Array, order: Ints, most: int, sets: Ints) -
 
 
 @jit
-def keep_trusted(used: Bools, factor: Array, unused: float, rules: Any, ambiguities: Records) -> None:
+def keep_trusted(marks: Records, unused: float, rules: Any, ambiguities: Records) -> None:
     """Take satellites out of use, the most doubtful first, until the sets to monitor are few enough.
 
-    Their integers are released, and with them the memory of their odds. factor (S,) becomes ``unused``.
+    Their integers are released, and with them the memory of their odds; their ``factor`` becomes ``unused``.
     """
-    member, odds, n = np.empty(used.shape[0], dtype=np.int64), np.empty(used.shape[0]), 0
+    member, odds, n = np.empty(marks.shape[0], dtype=np.int64), np.empty(marks.shape[0]), 0
     sets = np.empty((rules.sets, LARGEST_SET), dtype=np.int64)
-    for s in range(used.shape[0]):
-        if used[s]:
+    for s in range(marks.shape[0]):
+        if marks[s].used:
             member[n], odds[n] = s, ambiguities[s].odds
             n += 1
     while n > 0 and find_sets(odds, n, rules, sets)[0] < 0:
@@ -125,6 +125,6 @@ def keep_trusted(used: Bools, factor: Array, unused: float, rules: Any, ambiguit
             if odds[i] > odds[worst]:
                 worst = i
         s = member[worst]
-        used[s], factor[s], ambiguities[s].held = False, unused, False
+        marks[s].used, marks[s].factor, ambiguities[s].held = False, unused, False
         n -= 1
         member[worst], odds[worst] = member[n], odds[n]

@@ -33,7 +33,12 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3, multiply_3
 from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, SEARCH_FAILED, TOO_FEW
-from lanebound.integrity.positioning.float_filter_kernel import FilterRow, filtered_ambiguities, find_searchable
+from lanebound.integrity.positioning.float_filter_kernel import (
+    Filters,
+    filtered_ambiguities,
+    find_searchable,
+    invert_positive,
+)
 from lanebound.integrity.positioning.lambda_kernel import (
     OK,
     SearchScratch,
@@ -44,7 +49,7 @@ from lanebound.integrity.positioning.lambda_kernel import (
 )
 from lanebound.integrity.positioning.posterior_kernel import others_probability
 from lanebound.integrity.positioning.ratio_kernel import minimum_ratio
-from lanebound.integrity.positioning.rows_kernel import row_scratch
+from lanebound.integrity.positioning.rows_kernel import ROW
 from lanebound.integrity.positioning.rtk_kernel import (
     BASE,
     Carriers,
@@ -71,14 +76,14 @@ FIRST_SHARE = 0.5  # of the risk, for the set of all candidates; the rest is for
 class FloatSource(NamedTuple):
     """Where float ambiguities come from.
 
-    ``filtered``: from the filter ``own`` over epochs; otherwise from one epoch: its position ``x`` (3,) with covariance
-    ``q`` (3, 3), and the clocks ``base`` (MAX_GROUPS,) of BASE that the held satellites give.
+    ``filtered``: from the filter ``own`` over epochs, None without one; otherwise from one epoch: its position ``x``
+    (3,) with covariance ``q`` (3, 3), and the clocks ``base`` (MAX_GROUPS,) of BASE that the held satellites give.
     """
 
     x: Array
     q: Array
     base: Records
-    own: FilterRow
+    own: Filters | None
     filtered: bool
 
 
@@ -107,15 +112,17 @@ def add_held(carriers: Carriers, ambiguities: Records, rules: Any, x: Array, q: 
     """Complete the position of the code with the held phases in place, by adding normal matrices; False: singular."""
     if not any_held(ambiguities):
         return True
-    normal, rhs, group = np.empty((3, 3)), np.empty(3), np.empty(ambiguities.shape[0], dtype=np.int64)
+    normal, rhs, rows = np.empty((3, 3)), np.empty(3), np.empty(ambiguities.shape[0], ROW)
     if not invert_3x3(q, normal):
         return False
     multiply_3(normal, x, rhs)
-    rows = row_scratch(carriers.los, group)
-    collapse_phase(carriers, ambiguities, rules.bands, rows.y)
-    for s in range(group.shape[0]):
-        group[s], rows.used[s] = carriers.satellites[s].system, ambiguities[s].held
-        rows.variance[s] = carriers.variance[s] / rules.bands
+    collapse_phase(carriers, ambiguities, rules.bands, rows)
+    for s in range(rows.shape[0]):
+        row = rows[s]
+        row.group, row.used = carriers.satellites[s].system, ambiguities[s].held
+        row.variance = carriers.variance[s] / rules.bands
+        for k in range(3):
+            row.e[k] = carriers.signals[s].e[k]
     add_layer(rows, normal, rhs)
     if not invert_3x3(normal, q):
         return False
@@ -133,23 +140,24 @@ def base_of(carriers: Carriers, ambiguities: Records, bands: int) -> Records:
 
 @jit
 def float_solution(
-    carriers: Carriers, candidate: Bools, ambiguities: Records, source: FloatSource, rules: Any
+    carriers: Carriers, candidate: Bools, ambiguities: Records, source: FloatSource, own: Filters | None, rules: Any
 ) -> Floats:
     """Float ambiguities of the most precise candidates, from the filter or from the position of everything else."""
     bands, most = rules.bands, rules.max_candidates
     order = np.empty(most, dtype=np.int64)
-    if source.filtered:
-        searchable = np.empty(candidate.shape[0], dtype=np.bool_)
-        find_searchable(candidate, carriers.satellites, ambiguities, source.own.slots, searchable)
-        candidate = searchable
+    if own is not None:  # known when it is compiled: without a filter the rest of this branch is not compiled
+        if source.filtered:
+            searchable = np.empty(candidate.shape[0], dtype=np.bool_)
+            find_searchable(candidate, carriers.satellites, ambiguities, own.slots, searchable)
+            candidate = searchable
     count = order_by_variance(candidate, carriers.variance, most, order)
     c = bands * count
     owner, a_hat, q_a = np.empty(c, dtype=np.int64), np.empty(c), np.empty((c, c))
-    if source.filtered:
-        n = filtered_ambiguities(carriers, order, count, ambiguities, source.own, rules, a_hat, q_a, owner)
-    else:
-        x, q, base = source.x, source.q, source.base.copy()
-        n = float_ambiguities(carriers, order, count, bands, x, q, base, a_hat, q_a, owner)
+    if own is not None:
+        if source.filtered:
+            n = filtered_ambiguities(carriers, order, count, ambiguities, own, rules, a_hat, q_a, owner)
+            return Floats(count, order, n, owner, a_hat, q_a)
+    n = float_ambiguities(carriers, order, count, bands, source.x, source.q, source.base.copy(), a_hat, q_a, owner)
     return Floats(count, order, n, owner, a_hat, q_a)
 
 
@@ -223,7 +231,7 @@ def accept(
     return (RATIO_FAILED if norms[1] < rules.ratio_min * norms[0] else FIXED), failure
 
 
-@jit(borrows=True)
+@jit
 def largest_rate(limit: float) -> float:
     """Largest failure rate with which the probability of other vectors is searched: ``erfc(sqrt(-ln(limit)) / 2)``.
 
@@ -248,10 +256,13 @@ def relief(pull: Array, weight: Array, own: Array, column: Ints, columns: int) -
                 h[column[i], column[k]] += own[i] * own[k] * weight[i, k]
     if columns == 1:
         return float(g[0] * g[0] / h[0, 0])
-    if columns > 2:
-        return float(np.dot(g, np.linalg.solve(h, g)))
-    norm = h[1, 1] * g[0] * g[0] - 2.0 * h[0, 1] * g[0] * g[1] + h[0, 0] * g[1] * g[1]
-    return float(norm / (h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]))
+    inverse, norm = np.empty((columns, columns)), 0.0
+    if not invert_positive(h, columns, inverse):
+        return 0.0  # nothing tells the signals of this satellite apart
+    for i in range(columns):
+        for k in range(columns):
+            norm += g[i] * inverse[i, k] * g[k]
+    return norm
 
 
 @jit
@@ -266,10 +277,14 @@ def suspect(
     satellite and its further signals are one.
     """
     satellites, n = carriers.satellites, bands * groups
-    weight = np.linalg.inv(floats.covariance[:n, :n])
-    pull, own, count = weight @ (floats.ambiguity[:n] - best[:n]), np.empty(n), 0
+    weight, pull, own, count = np.empty((n, n)), np.zeros(n), np.empty(n), 0
     column = np.empty(n, dtype=np.int64)
     relieved[:] = -1.0
+    if not invert_positive(floats.covariance, n, weight):
+        return 0
+    for i in range(n):
+        for k in range(n):
+            pull[i] += weight[i, k] * (floats.ambiguity[k] - best[k])
     for j in range(floats.satellites):
         s = owner_of(satellites, floats.order[j])
         if relieved[s] >= 0.0:
@@ -322,7 +337,7 @@ def attempt(
 
     Returns (status, P_IF, satellites under suspicion); ``chosen`` is set, and ``relieved`` when the set is refused.
     """
-    floats = float_solution(carriers, candidate, ambiguities, source, rules)
+    floats = float_solution(carriers, candidate, ambiguities, source, source.own, rules)
     scratch = search_scratch(floats.ambiguity.shape[0], 2)
     status, groups, rate = choose(carriers, floats, ambiguities, rules, limit, scratch, chosen)
     if status != FIXED and rules.posterior > 0.0:
@@ -340,9 +355,9 @@ def attempt(
     return status, rate, count
 
 
-@jit
+@jit(inline=True)
 def resolve(
-    carriers: Carriers, candidate: Bools, ambiguities: Records, rules: Any, x: Array, q: Array, own: FilterRow,
+    carriers: Carriers, candidate: Bools, ambiguities: Records, rules: Any, x: Array, q: Array, own: Filters | None,
     filtered: bool, next_id: int,
 ) -> tuple[int, float]:  # fmt: skip
     """Fix the ambiguities of as many candidate satellites as the risk allows, and hold them.

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from lanebound.integrity.core.records import record
 
-import numpy as np
-from numpy.typing import NDArray
+__all__ = ["ROW"]
 
-from lanebound.integrity.core.accel import jit
-
-__all__ = ["Rows", "row_scratch"]
-
-
-class Rows(NamedTuple):
-    """S rows: los (S, 3) unit vectors e, group (S,) clock of each row, variance (S,), y (S,), used (S,) bool."""
-
-    los: NDArray[np.float64]
-    group: NDArray[np.int64]
-    variance: NDArray[np.float64]
-    y: NDArray[np.float64]
-    used: NDArray[np.bool_]
-
-
-@jit
-def row_scratch(los: NDArray[np.float64], group: NDArray[np.int64]) -> Rows:
-    """Rows of these satellites whose variance, y and used are still to be filled."""
-    n = group.shape[0]
-    return Rows(los, group, np.empty(n), np.empty(n), np.empty(n, dtype=np.bool_))
+ROW = record(
+    e=("f8", (3,), "unit vector to the satellite, East North Up"),
+    group=("i8", "its clock"),
+    system=("i8", "its constellation"),
+    variance="of y [m^2], or [m^2/s^2] of a velocity",
+    y="measurement [m], [m/s]",
+    used=("?", "the row is in the solution"),
+)
+"""A row; those that are not used have no weight, whatever they hold."""

@@ -19,7 +19,6 @@ from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.positioning.code_errors_kernel import variance_factor
 from lanebound.integrity.positioning.reflection_odds_kernel import REFLECTION_RULES
-from lanebound.integrity.positioning.rows_kernel import Rows
 
 __all__ = [
     "AMBIGUITY",
@@ -40,12 +39,12 @@ __all__ = [
     "has_atmosphere",
     "held_base",
     "held_risk",
+    "is_strong",
     "leave_out_faded",
     "obliquity",
     "order_by_variance",
     "owner_of",
     "range_of",
-    "select",
     "weigh",
 ]
 
@@ -129,44 +128,41 @@ BASE = record(
 
 
 class Carriers(NamedTuple):
-    """Carriers of one epoch: los (S, 3), satellites (S,) of SATELLITE, phase (S, 2) [m], variance (S,) of one band."""
+    """Carriers of one epoch: satellites (S,) of SATELLITE, signals (S,) of OBSERVED_SIGNAL, variance (S,) of one band.
 
-    los: Array
+    The phases are in metres.
+    """
+
     satellites: Records
-    phase: Array
+    signals: Records
     variance: Array
 
 
-@jit(borrows=True)
-def weigh(los: Array, tracked: Bools, cn0: Array, cn0_knee: float, quality: Array) -> None:
+@jit
+def weigh(signals: Records, cn0_knee: float, marks: Records) -> None:
     """Variance factor ``(1 + 1/sin^2 el)/2 * (1 + 10^((knee - C/N0)/10))`` of S satellites, UNUSED if not tracked.
 
     The elevation part is RTKLIB's ``a^2 + (a/sin el)^2`` scaled to 1 at the zenith; the C/N0 part doubles the
-    variance at the knee (sigma-epsilon model of Hartinger and Brunner 1999).
+    variance at the knee (sigma-epsilon model of Hartinger and Brunner 1999). Fills ``marks[s].quality``.
     """
-    for s in range(tracked.shape[0]):
-        quality[s] = UNUSED
-        if tracked[s]:
-            quality[s] = variance_factor(los[s, 2], cn0[s], cn0_knee)
+    for s in range(signals.shape[0]):
+        signal = signals[s]
+        marks[s].quality = variance_factor(signal.e[2], signal.cn0, cn0_knee) if signal.tracked else UNUSED
 
 
-@jit(borrows=True)
-def select(
-    los: Array, tracked: Bools, cn0: Array, quality: Array, sin_mask: float, cn0_min: float, factor: Array, used: Bools
-) -> None:
-    """Find which satellites are high and strong enough; their variance factors, UNUSED of the others."""
-    for s in range(tracked.shape[0]):
-        used[s] = tracked[s] and los[s, 2] > sin_mask and cn0[s] >= cn0_min
-        factor[s] = quality[s] if used[s] else UNUSED
+@jit
+def is_strong(signal: Any, sin_mask: float, cn0_min: float) -> bool:
+    """Whether a signal is tracked, high and strong enough to be used."""
+    return bool(signal.tracked and signal.e[2] > sin_mask and signal.cn0 >= cn0_min)
 
 
-@jit(borrows=True)
+@jit
 def has_atmosphere(rules: Any) -> bool:
     """Whether a residual atmosphere is declared."""
     return bool(rules.filter.ionosphere > 0.0 or rules.filter.troposphere > 0.0)
 
 
-@jit(borrows=True)
+@jit
 def atmosphere_variance(sine: float, satellite: Any, rules: Any) -> float:
     """Variance of the residual atmosphere in the mean phase of all bands [m^2], 0 where none is declared.
 
@@ -182,91 +178,91 @@ def atmosphere_variance(sine: float, satellite: Any, rules: Any) -> float:
     return float(ionosphere * ionosphere + troposphere * troposphere)
 
 
-@jit(borrows=True)
+@jit
 def owner_of(satellites: Records, s: int) -> int:
     """The satellite that sends signal s: itself, or the host of a further signal."""
     return int(satellites[s].host) if satellites[s].further else s
 
 
-@jit(borrows=True)
+@jit
 def first_wavelength(satellite: Any) -> float:
     """Wavelength [m] of the band on which the ionosphere of a satellite is counted."""
     return float(satellite.first if satellite.further else satellite.wavelength[0])
 
 
-@jit(borrows=True)
+@jit
 def obliquity(sine: float) -> float:
     """Slant over vertical ionosphere of a thin layer at 350 km, by the sine of the elevation."""
     return 1.0 / math.sqrt(1.0 - EARTH_RATIO**2 * (1.0 - sine * sine))
 
 
-@jit(borrows=True)
-def leave_out_faded(
-    cn0: Array, tracked: Bools, rules: Any, dt: float, factor: Array, used: Bools, ambiguities: Records
-) -> None:
+@jit
+def leave_out_faded(signals: Records, rules: Any, dt: float, marks: Records, ambiguities: Records) -> None:
     """Do not use carriers whose C/N0 has just fallen: a ray that bends round an edge is late as soon as it is weak.
 
     Knife edge, ``v = angle sqrt(2 d / lambda)``: the detour ``d angle^2 / 2 = v^2 lambda / 4`` is 1 cm at a loss of
     10 dB, 5 cm at 14 dB and 15 cm at 19 dB. A receiver sees the loss late, so that a fall counts by its beginning.
     """
-    for s in range(tracked.shape[0]):
-        ambiguity = ambiguities[s]
+    for s in range(signals.shape[0]):
+        ambiguity, signal = ambiguities[s], signals[s]
         ambiguity.peak -= rules.fade_decay * dt
-        if tracked[s]:
-            if cn0[s] > ambiguity.peak:
-                ambiguity.peak = cn0[s]
-            if cn0[s] < ambiguity.peak - rules.fade:
-                used[s], factor[s] = False, UNUSED
+        if signal.tracked:
+            if signal.cn0 > ambiguity.peak:
+                ambiguity.peak = signal.cn0
+            if signal.cn0 < ambiguity.peak - rules.fade:
+                marks[s].used, marks[s].factor = False, UNUSED
 
 
 @jit
-def add_layer(rows: Rows, normal: Array, rhs: Array) -> None:
+def add_layer(rows: Records, normal: Array, rhs: Array) -> None:
     """Add one observable type to the clock-free normal equations ``normal x = rhs``, (3, 3) and (3,)."""
-    los, group, variance, y, used = rows
     means = np.zeros(MAX_GROUPS, MEAN)
-    for s in range(los.shape[0]):
-        if used[s]:
-            w, mean = 1.0 / variance[s], means[group[s]]
+    for s in range(rows.shape[0]):
+        row = rows[s]
+        if row.used:
+            w, mean = 1.0 / row.variance, means[row.group]
             mean.weight += w
-            mean.y += w * y[s]
+            mean.y += w * row.y
             for k in range(3):
-                mean.e[k] += w * los[s, k]
+                mean.e[k] += w * row.e[k]
     for c in range(MAX_GROUPS):
         mean = means[c]
         if mean.weight > 0.0:
             mean.y /= mean.weight
             for k in range(3):
                 mean.e[k] /= mean.weight
-    for s in range(los.shape[0]):
-        if used[s]:
-            w, mean = 1.0 / variance[s], means[group[s]]
-            dy = y[s] - mean.y
+    for s in range(rows.shape[0]):
+        row = rows[s]
+        if row.used:
+            w, mean = 1.0 / row.variance, means[row.group]
+            dy = row.y - mean.y
             for j in range(3):
-                gj = los[s, j] - mean.e[j]
+                gj = row.e[j] - mean.e[j]
                 rhs[j] -= w * gj * dy
                 for k in range(3):
-                    normal[j, k] += w * gj * (los[s, k] - mean.e[k])
+                    normal[j, k] += w * gj * (row.e[k] - mean.e[k])
 
 
-@jit(borrows=True)
-def collapse_code(code: Array, bands: int, out: Array) -> None:
-    """Mean of the code over the bands: code (S, 2) -> out (S,) [m]; its variance is that of one band over ``bands``."""
-    for s in range(code.shape[0]):
-        out[s] = code[s, 0] if bands == 1 else 0.5 * (code[s, 0] + code[s, 1])
+@jit
+def collapse_code(signals: Records, bands: int, rows: Records) -> None:
+    """Mean of the code over the bands -> ``rows[s].y`` [m]; its variance is that of one band over ``bands``."""
+    for s in range(signals.shape[0]):
+        code = signals[s].code
+        rows[s].y = code[0] if bands == 1 else 0.5 * (code[0] + code[1])
 
 
-@jit(borrows=True)
-def collapse_phase(carriers: Carriers, ambiguities: Records, bands: int, out: Array) -> None:
-    """Mean over the bands of ``phase - lambda N`` -> out (S,) [m]."""
-    for s in range(out.shape[0]):
-        total = 0.0
+@jit
+def collapse_phase(carriers: Carriers, ambiguities: Records, bands: int, rows: Records) -> None:
+    """Mean over the bands of ``phase - lambda N`` -> ``rows[s].y`` [m]."""
+    for s in range(rows.shape[0]):
+        total, phase, satellite = 0.0, carriers.signals[s].phase, carriers.satellites[s]
         for b in range(bands):
-            total += carriers.phase[s, b] - carriers.satellites[s].wavelength[b] * ambiguities[s].integers[b]
-        out[s] = total / bands
+            total += phase[b] - satellite.wavelength[b] * ambiguities[s].integers[b]
+        rows[s].y = total / bands
 
 
-@jit(borrows=True)
-def range_of(cycles: Ints, satellite: Any, bands: int) -> float:
+@jit
+def range_of(cycles: Any, satellite: Any, bands: int) -> float:
     """Mean over the bands of ``lambda N`` [m], N (2,) integers."""
     total = 0.0
     for b in range(bands):
@@ -274,7 +270,7 @@ def range_of(cycles: Ints, satellite: Any, bands: int) -> float:
     return total / bands
 
 
-@jit(borrows=True)
+@jit
 def order_by_variance(candidate: Bools, variance: Array, limit: int, order: Ints) -> int:
     """Indices of the candidates, most precise first, at most ``limit`` of them: fills ``order``, returns the count."""
     n = 0
@@ -308,7 +304,7 @@ def float_ambiguities(
     Fills ``ambiguity`` (n,), ``q_a`` (n, n) [cycles^2] and ``owner`` (n,) with satellite indices; returns n. ``base``
     is completed in place.
     """
-    los, satellites, phase, variance = carriers
+    satellites, signals, variance = carriers
     n = 0
     for i in range(count):
         s = order[i]
@@ -317,15 +313,15 @@ def float_ambiguities(
         if clock.weight <= 0.0:
             clock.weight = 1.0 / variance[s]
             for k in range(3):
-                clock.e[k] = los[s, k]
+                clock.e[k] = signals[s].e[k]
             for b in range(bands):
-                clock.phase[b] = phase[s, b]
+                clock.phase[b] = signals[s].phase[b]
             continue
         for b in range(bands):
             geometric = 0.0
             for k in range(3):
-                geometric += (los[s, k] - clock.e[k]) * x[k]
-            ambiguity[n] = (phase[s, b] - clock.phase[b] + geometric) / satellite.wavelength[b]
+                geometric += (signals[s].e[k] - clock.e[k]) * x[k]
+            ambiguity[n] = (signals[s].phase[b] - clock.phase[b] + geometric) / satellite.wavelength[b]
             owner[n] = s
             n += 1
     h = np.empty(3)
@@ -335,13 +331,13 @@ def float_ambiguities(
         for k in range(3):
             h[k] = 0.0
             for j in range(3):
-                h[k] += q_x[k, j] * (los[u, j] - clock_u.e[j])
+                h[k] += q_x[k, j] * (signals[u].e[j] - clock_u.e[j])
         for i2 in range(i + 1):
             v = owner[i2]
             clock_v, bv = base[satellites[v].system], i2 % bands
             q = 0.0
             for k in range(3):
-                q += h[k] * (los[v, k] - clock_v.e[k])
+                q += h[k] * (signals[v].e[k] - clock_v.e[k])
             if satellites[u].system == satellites[v].system and bu == bv:
                 q += 1.0 / clock_u.weight
                 if u == v:
@@ -352,22 +348,22 @@ def float_ambiguities(
     return n
 
 
-@jit(borrows=True)
+@jit
 def held_base(carriers: Carriers, ambiguities: Records, bands: int, base: Records) -> None:
     """Clock of each system from its held satellites: weighted means of ``phase - lambda N`` and of ``e``.
 
     ``base`` (MAX_GROUPS,) is of zeros before.
     """
-    los, satellites, phase, variance = carriers
+    satellites, signals, variance = carriers
     for s in range(variance.shape[0]):
         if ambiguities[s].held:
             satellite, w = satellites[s], 1.0 / variance[s]
             clock = base[satellite.system]
             clock.weight += w
             for k in range(3):
-                clock.e[k] += w * los[s, k]
+                clock.e[k] += w * signals[s].e[k]
             for b in range(bands):
-                clock.phase[b] += w * (phase[s, b] - satellite.wavelength[b] * ambiguities[s].integers[b])
+                clock.phase[b] += w * (signals[s].phase[b] - satellite.wavelength[b] * ambiguities[s].integers[b])
     for c in range(base.shape[0]):
         clock = base[c]
         if clock.weight > 0.0:
@@ -377,7 +373,7 @@ def held_base(carriers: Carriers, ambiguities: Records, bands: int, base: Record
                 clock.phase[b] /= clock.weight
 
 
-@jit(borrows=True)
+@jit
 def held_risk(ambiguities: Records) -> float:
     """Probability that any held ambiguity is wrong: the union bound over the fixes that they came from."""
     total, latest = 0.0, -1

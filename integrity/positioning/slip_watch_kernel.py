@@ -32,7 +32,6 @@ from lanebound.integrity.positioning.rtk_kernel import Carriers, held_risk
 __all__ = ["SLIP_RULES", "SLIP_WATCH", "DopplerMotion", "watch_slips"]
 
 Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 REPAIR_SHARE = 0.1  # of the risk of wrong integers, for one repair
 
@@ -63,45 +62,44 @@ class DopplerMotion(NamedTuple):
     anchor: Array
 
 
-@jit(borrows=True)
+@jit
 def _changes(
     carriers: Carriers, ambiguities: Records, rows: NDArray[np.int64], n: int, motion: DopplerMotion, watch: Any,
     moved: Array,
 ) -> bool:  # fmt: skip
     """Changes (2, n) of the phases in ``rows`` beyond those that the Doppler motion explains; whether it is known."""
-    los, phase, velocity, half = carriers.los, carriers.phase, motion.velocity, 0.5 * motion.dt
+    velocity, half = motion.velocity, 0.5 * motion.dt
     known = motion.solved and watch.moving
     x = watch.anchor[0] + (half * (watch.velocity[0] + velocity[0]) if known else 0.0)
     y = watch.anchor[1] + (half * (watch.velocity[1] + velocity[1]) if known else 0.0)
     z = watch.anchor[2] + (half * (watch.velocity[2] + velocity[2]) if known else 0.0)
     for i in range(n):
-        s = rows[i]
-        along = los[s, 0] * x + los[s, 1] * y + los[s, 2] * z
-        last = ambiguities[s].last_phase
-        moved[0, i], moved[1, i] = phase[s, 0] + along - last[0], phase[s, 1] + along - last[1]
+        signal, last = carriers.signals[rows[i]], ambiguities[rows[i]].last_phase
+        along = signal.e[0] * x + signal.e[1] * y + signal.e[2] * z
+        moved[0, i], moved[1, i] = signal.phase[0] + along - last[0], signal.phase[1] + along - last[1]
     return known
 
 
-@jit(borrows=True)
+@jit
 def _store(
-    carriers: Carriers, phase_ok: Bools, age: float, motion: DopplerMotion, ambiguities: Records, watch: Any
+    carriers: Carriers, marks: Records, age: float, motion: DopplerMotion, ambiguities: Records, watch: Any
 ) -> None:
     """Store this epoch for the next one."""
-    los, phase, anchor = carriers.los, carriers.phase, motion.anchor
+    anchor = motion.anchor
     for k in range(3):
         watch.velocity[k] = motion.velocity[k] if motion.solved else 0.0
         watch.anchor[k] = anchor[k]
     watch.moving = motion.solved
     watch.age = age
-    for s in range(phase_ok.shape[0]):
-        last = ambiguities[s].last_phase
+    for s in range(marks.shape[0]):
+        last, signal = ambiguities[s].last_phase, carriers.signals[s]
         last[0], last[1] = 0.0, 0.0
-        if phase_ok[s] and age < math.inf:
-            along = los[s, 0] * anchor[0] + los[s, 1] * anchor[1] + los[s, 2] * anchor[2]
-            last[0], last[1] = phase[s, 0] + along, phase[s, 1] + along
+        if marks[s].phase_ok and age < math.inf:
+            along = signal.e[0] * anchor[0] + signal.e[1] * anchor[1] + signal.e[2] * anchor[2]
+            last[0], last[1] = signal.phase[0] + along, signal.phase[1] + along
 
 
-@jit(borrows=True)
+@jit
 def _predicted_sigma(x: float, y: float, z: float, q: Array, dt: float, known: bool, drift: float) -> float:
     """Standard deviation of the predicted change along (x, y, z), ``drift`` [m] that of the ageing corrections."""
     if not known:
@@ -135,7 +133,7 @@ def _repair(
         held.integers[b] += found[b]
 
 
-@jit(borrows=True)
+@jit
 def _judge(
     carriers: Carriers, rows: NDArray[np.int64], n: int, moved: Array, known: bool, drift: float,
     motion: DopplerMotion, rtk: Any, slips: Any, flags: NDArray[np.int64], s_p: Array,
@@ -145,12 +143,12 @@ def _judge(
     A prediction that most carriers contradict is itself wrong and is not used. The code is not tested: in a street its
     reflections change from epoch to epoch.
     """
-    los, q, dt, ionosphere = carriers.los, motion.q, motion.dt, slips.ionosphere * motion.dt
+    q, dt, ionosphere = motion.q, motion.dt, slips.ionosphere * motion.dt
     contradicted = 0
     for attempt in range(2):
         for i in range(n):
-            s = rows[i]
-            s_p[i] = _predicted_sigma(los[s, 0], los[s, 1], los[s, 2], q, dt, known, drift)
+            s, e = rows[i], carriers.signals[rows[i]].e
+            s_p[i] = _predicted_sigma(e[0], e[1], e[2], q, dt, known, drift)
             wavelength = carriers.satellites[s].wavelength
             second = wavelength[1] if rtk.bands == 2 else 0.0
             change = Changes(moved[0, i], moved[1, i], 0.0, 0.0, 0.0, 0.0)
@@ -164,18 +162,18 @@ def _judge(
 
 @jit
 def watch_slips(
-    carriers: Carriers, phase_ok: Bools, age: float, motion: DopplerMotion, ambiguities: Records, rtk: Any,
+    carriers: Carriers, marks: Records, age: float, motion: DopplerMotion, ambiguities: Records, rtk: Any,
     slips: Any, watch: Any, next_id: int,
 ) -> int:  # fmt: skip
     """Test all held carriers for slips since the last epoch, in place.
 
-    rtk of RTK_RULES, slips of SLIP_RULES, watch of SLIP_WATCH. Returns how many were found; ``next_id`` and the numbers
-    after it name the repaired ones.
+    marks (S,) of MARK, rtk of RTK_RULES, slips of SLIP_RULES, watch of SLIP_WATCH. Returns how many were found;
+    ``next_id`` and the numbers after it name the repaired ones.
     """
-    n_sat = phase_ok.shape[0]
+    n_sat = marks.shape[0]
     rows, n = np.empty(n_sat, dtype=np.int64), 0
     for s in range(n_sat):
-        if ambiguities[s].held and phase_ok[s] and ambiguities[s].last_phase[0] != 0.0:
+        if ambiguities[s].held and marks[s].phase_ok and ambiguities[s].last_phase[0] != 0.0:
             rows[n] = s
             n += 1
     found = 0
@@ -198,5 +196,5 @@ def watch_slips(
                 )
                 _repair(rows[i], change, deviation, carriers, ambiguities, rtk, slips, next_id + found)
                 found += 1
-    _store(carriers, phase_ok, age, motion, ambiguities, watch)
+    _store(carriers, marks, age, motion, ambiguities, watch)
     return found

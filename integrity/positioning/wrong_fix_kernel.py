@@ -28,78 +28,79 @@ __all__ = ["displacement_of", "next_best_integers"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 SEARCH_NODES = 200_000
 
 
-@jit(borrows=True)
+@jit
 def _clock_free_normals(
-    los: Array, satellites: Records, variance: Array, used: Bools, mean: Array, normal: Array
+    signals: Records, satellites: Records, variance: Array, rows: Records, mean: Array, normal: Array
 ) -> None:
-    """``sum (e - e-)(e - e-)' / variance`` (3, 3) of the used satellites, and e- and the weight by system, (G, 4)."""
+    """``sum (e - e-)(e - e-)' / variance`` (3, 3) of the rows in use, and e- and the weight by system, (G, 4)."""
     mean[:], normal[:] = 0.0, 0.0
-    for s in range(used.shape[0]):
-        if used[s]:
+    for s in range(rows.shape[0]):
+        if rows[s].used:
             c, w = satellites[s].system, 1.0 / variance[s]
             for k in range(3):
-                mean[c, k] += w * los[s, k]
+                mean[c, k] += w * signals[s].e[k]
             mean[c, 3] += w
     for c in range(mean.shape[0]):
         if mean[c, 3] > 0.0:
             for k in range(3):
                 mean[c, k] /= mean[c, 3]
-    for s in range(used.shape[0]):
-        if used[s]:
-            c = satellites[s].system
+    for s in range(rows.shape[0]):
+        if rows[s].used:
+            c, e = satellites[s].system, signals[s].e
             for i in range(3):
                 for k in range(3):
-                    normal[i, k] += (los[s, i] - mean[c, i]) * (los[s, k] - mean[c, k]) / variance[s]
+                    normal[i, k] += (e[i] - mean[c, i]) * (e[k] - mean[c, k]) / variance[s]
 
 
 @jit
-def displacement_of(integers: Ints, carriers: Carriers, used: Bools, bands: int, out: Array) -> bool:
+def displacement_of(integers: Ints, carriers: Carriers, rows: Records, bands: int, out: Array) -> bool:
     """By how much integers (S, 2) [cycles] that positioning subtracts move the position of the carriers, (3,) [m].
 
     ``y = -e.x`` becomes ``y - lambda N``; both bands weigh alike. False where the geometry is singular.
     """
-    los, satellites, _, variance = carriers
+    satellites, signals, variance = carriers
     mean, normal, inverse, rhs = np.empty((MAX_GROUPS, 4)), np.empty((3, 3)), np.empty((3, 3)), np.zeros(3)
-    _clock_free_normals(los, satellites, variance, used, mean, normal)
+    _clock_free_normals(signals, satellites, variance, rows, mean, normal)
     if not invert_3x3(normal, inverse):
         return False
-    for s in range(used.shape[0]):
-        if used[s]:
+    for s in range(rows.shape[0]):
+        if rows[s].used:
             length, c = 0.0, satellites[s].system
             for b in range(bands):
                 length += satellites[s].wavelength[b] * integers[s, b] / bands
             for k in range(3):
-                rhs[k] += (los[s, k] - mean[c, k]) * length / variance[s]
+                rhs[k] += (signals[s].e[k] - mean[c, k]) * length / variance[s]
     multiply_3(inverse, rhs, out)
     return True
 
 
 @jit
-def next_best_integers(carriers: Carriers, used: Bools, rank: int, azimuth: float, rules: Any, out: Ints) -> bool:
-    """Fill the integers (S, 2) that are off by the ``rank``-th best wrong vector of the used satellites in one epoch.
+def next_best_integers(carriers: Carriers, rows: Records, rank: int, azimuth: float, rules: Any, out: Ints) -> bool:
+    """Fill the integers (S, 2) that are off by the ``rank``-th best wrong vector of the rows (S,) in use, of one epoch.
 
     The vectors ``z != 0`` of least ``z' Q_a^-1 z``, Q_a the covariance of the float ambiguities by code and carrier of
     this epoch alone: with noise-free measurements the second best candidate of a search is the best of them. z and -z
     fit alike; it is the one that moves the position towards the azimuth [rad]. ``carriers.variance`` holds the variance
     factors; rules of RTK_RULES. False where there is no such vector.
     """
-    los, satellites, phase, factor = carriers
+    satellites, signals, factor = carriers
     bands, count = rules.bands, 0
-    order = np.empty(MOST_AMBIGUITIES // bands, dtype=np.int64)
+    order, used = np.empty(MOST_AMBIGUITIES // bands, dtype=np.int64), np.empty(rows.shape[0], dtype=np.bool_)
+    for s in range(rows.shape[0]):
+        used[s] = rows[s].used
     count = order_by_variance(used, factor, order.shape[0], order)
     mean, normal, q = np.empty((MAX_GROUPS, 4)), np.empty((3, 3)), np.empty((3, 3))
-    _clock_free_normals(los, satellites, factor, used, mean, normal)
+    _clock_free_normals(signals, satellites, factor, rows, mean, normal)
     code = rules.sigma_code * rules.sigma_code / bands
     if not invert_3x3(normal / code, q):
         return False
     c = bands * count
     owner, a_hat, q_a, base = np.empty(c, dtype=np.int64), np.empty(c), np.empty((c, c)), np.zeros(MAX_GROUPS, BASE)
-    precise = Carriers(los, satellites, phase, factor * rules.sigma_phase**2)
+    precise = Carriers(satellites, signals, factor * rules.sigma_phase**2)
     n = float_ambiguities(precise, order, count, bands, np.zeros(3), q, base, a_hat, q_a, owner)
     a_hat[:] = 0.0
     scratch = search_scratch(c, 2 * rank + 1)
@@ -110,7 +111,7 @@ def next_best_integers(carriers: Carriers, used: Bools, rank: int, azimuth: floa
     for i in range(n):
         out[owner[i], i % bands] = np.int64(scratch.candidates[2 * rank - 1, i])
     moved = np.zeros(3)
-    if displacement_of(out, carriers, used, bands, moved):
+    if displacement_of(out, carriers, rows, bands, moved):
         if moved[0] * math.sin(azimuth) + moved[1] * math.cos(azimuth) < 0.0:
             for s in range(out.shape[0]):
                 out[s, 0], out[s, 1] = -out[s, 0], -out[s, 1]

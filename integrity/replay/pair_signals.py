@@ -12,13 +12,15 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import MARK
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.cycle_slips_kernel import MIN_COMMON
 from lanebound.integrity.positioning.rtk_config import RtkConfig
-from lanebound.integrity.positioning.rtk_kernel import select, weigh
+from lanebound.integrity.positioning.rtk_kernel import weigh
 from lanebound.integrity.replay.differences import Arc, Reduced
 from lanebound.integrity.replay.rtk_stages import Entries, Signals
 from lanebound.integrity.replay.signal_choice import LETTERS, Choice
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
 from lanebound.integrity.sky.systems import FIXABLE
 
 __all__ = ["SlipComparison", "code_rows", "entries_of", "signals_of"]
@@ -65,9 +67,16 @@ def signals_of(reduced: Reduced, entries: Entries, rtk: RtkConfig) -> Signals:
     """The signals of one epoch."""
     at = entries.satellite, entries.column
     los, tracked, cn0 = np.ascontiguousarray(reduced.sight_enu[at[0]]), reduced.tracked[at], reduced.cn0_dbhz[at]
-    quality = np.empty(len(tracked))
-    weigh(los, tracked, cn0, rtk.cn0_knee_dbhz, quality)
+    quality = _weighed(los, tracked, cn0, rtk)
     return Signals(los, quality, tracked, cn0, reduced.code_m[at], reduced.phase_m[at], reduced.lost[at])
+
+
+def _weighed(los: Array, tracked: Bools, cn0: Array, rtk: RtkConfig) -> Array:
+    """Variance factors (N,) of signals."""
+    signals, marks = np.zeros(len(los), OBSERVED_SIGNAL), np.zeros(len(los), MARK)
+    signals["e"], signals["tracked"], signals["cn0"] = los, tracked, cn0
+    weigh(signals, rtk.cn0_knee_dbhz, marks)
+    return marks["quality"].copy()
 
 
 def code_rows(reduced: Reduced, los: Array, rtk: RtkConfig) -> tuple[Ints, Array, Array]:
@@ -76,19 +85,14 @@ def code_rows(reduced: Reduced, los: Array, rtk: RtkConfig) -> tuple[Ints, Array
     The mean of the first two signals where enough satellites have both, otherwise the first one: means and single codes
     do not have the same clock.
     """
-    both = reduced.tracked[:, :2].all(-1)
+    both = np.asarray(reduced.tracked[:, :2].all(-1))
     for columns, tracked in ((2, both), (1, np.ascontiguousarray(reduced.tracked[:, 0]))):
         cn0 = -10.0 * np.log10((10.0 ** (-0.1 * reduced.cn0_dbhz[:, :columns])).mean(-1))
-        quality, factor, used = np.empty(len(los)), np.empty(len(los)), np.empty(len(los), np.bool_)
-        weigh(los, tracked, cn0, rtk.cn0_knee_dbhz, quality)
-        select(
-            los, tracked, cn0, quality, float(np.sin(np.deg2rad(rtk.elevation_mask_deg))), rtk.cn0_min_dbhz, factor,
-            used,
-        )  # fmt: skip
-        rows = np.flatnonzero(used)
+        quality, high = _weighed(los, tracked, cn0, rtk), los[:, 2] > np.sin(np.deg2rad(rtk.elevation_mask_deg))
+        rows = np.flatnonzero(tracked & high & (cn0 >= rtk.cn0_min_dbhz))
         if rows.size >= PLENTY:
             break
-    return rows, reduced.code_m[rows, :columns].mean(-1), factor[rows] * rtk.sigma_code_m**2 / columns
+    return rows, reduced.code_m[rows, :columns].mean(-1), quality[rows] * rtk.sigma_code_m**2 / columns
 
 
 class SlipComparison:

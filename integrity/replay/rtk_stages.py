@@ -13,20 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.core.bundle_kernel import Bundle
-from lanebound.integrity.core.chain_kernel import Chain
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.exclusion import FdeConfig
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
-from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
+from lanebound.integrity.navigators.rtk_reckoning.epoch import carrier_stages
 from lanebound.integrity.navigators.rtk_reckoning.navigator import (
     arrays_of,
+    blank_epoch,
     blank_filters,
-    blank_outputs,
     blank_state,
-    blank_work,
-    carrier_stages,
 )
 from lanebound.integrity.navigators.rtk_reckoning.parameters import (
     case_table,
@@ -35,7 +31,7 @@ from lanebound.integrity.navigators.rtk_reckoning.parameters import (
     satellite_table,
     separation_thresholds,
 )
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, EpochInputs, Lasting, Measured, Tables
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Tables
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 
@@ -95,26 +91,19 @@ class RtkStages:
         system = entries.clock
         parameters["modes"]["rtk_max_hdop"] = math.inf  # compute levels of every fixed position
         tables = Tables(
-            _satellites(entries, exact), system, mode_priors(system, exact),
-            case_table(config.cases, exact, 0.0), *separation_thresholds(config, len(system)),
+            _satellites(entries, exact), mode_priors(system, exact), case_table(config.cases, exact, 0.0),
+            *separation_thresholds(config, len(system)),
         )  # fmt: skip
-        n = len(system)
         rtk = rtk.replace(max_candidates=most)
-        state = blank_state(1, n, tables.prior.size, 1, rtk)._replace(filtered=blank_filters(1, rtk, stands))
-        work, out = blank_work(1, n, 1), blank_outputs(1, n, 1)
-        measured = Measured(
-            np.zeros((1, n, 3)), np.zeros(1, np.int64), np.zeros((1, n), np.bool_), np.zeros((1, n)),
-            np.zeros((1, n, 2)), np.zeros((1, n, 2)), np.zeros((1, n)), np.zeros((1, n), np.bool_), np.zeros(1),
-            np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1), np.zeros((1, n, 2), np.int64), np.zeros((1, 2)),
-        )  # fmt: skip
-        self._lasting, self._inputs = Bundle(Lasting(parameters, tables, state, work, out)), EpochInputs(measured)
-        self._stages = Chain(Epoch, *carrier_stages(rtk), find_fixed_position)
+        state = blank_state(1, len(system), tables.prior.size, 1, rtk)._replace(filters=blank_filters(1, rtk, stands))
+        self._epoch = blank_epoch(parameters, tables, state)
+        self._stages = carrier_stages(rtk.float_solution.kind == "sequential")
 
     def release(self) -> None:
         """Release all integers and forget all float ambiguities."""
-        state = self._lasting.values.state
-        state.ambiguities["held"] = False
-        for array in arrays_of(state.filtered):
+        epoch = self._epoch
+        epoch.ambiguities["held"] = False
+        for array in (epoch.vehicles["filter"], *arrays_of((epoch.filters,))):
             array[:] = np.zeros((), array.dtype)
 
     def step(
@@ -128,23 +117,20 @@ class RtkStages:
         Returns the solution (FIXED_SOLUTION of :mod:`~lanebound.integrity.navigators.rtk_reckoning.records_kernel`) and
         its levels (2,) AT, CT [m], zeros unless it is fixed.
         """
-        lasting: Lasting = self._lasting.values
-        lasting.parameters["dt"] = dt_s
-        filtered = lasting.parameters["rtk"]["filter"]
+        epoch = self._epoch
+        epoch.parameters["dt"] = dt_s
+        filtered = epoch.parameters["rtk"]["filter"]
         filtered["ionosphere"], filtered["troposphere"] = ionosphere_m, troposphere_m
-        lasting.work.quality[0] = signals.quality
-        m = self._inputs.measured
-        for target, value in (
-            (m.los, signals.los), (m.tracked, signals.tracked), (m.cn0, signals.cn0), (m.code[..., 0], signals.code),
-            (m.phase[..., 0], signals.phase), (m.lock_lost, signals.lost),
-        ):  # fmt: skip
-            target[0] = value
-        m.age[0] = age_s
-        lasting.state.vehicles["position"][0] = near_m
-        w = lasting.work.vehicles
-        w["sin_h"], w["cos_h"] = sin_h, cos_h
-        self._stages(0, 1, self._lasting, self._inputs)
-        return w["fixed"][0], lasting.work.fixed_levels[0, 0]
+        epoch.marks["quality"][0] = signals.quality
+        m = epoch.signals[0]
+        m["e"], m["tracked"], m["cn0"], m["lock_lost"] = signals.los, signals.tracked, signals.cn0, signals.lost
+        m["code"][:, 0], m["phase"][:, 0] = signals.code, signals.phase
+        epoch.observed["age"] = age_s
+        epoch.vehicles["position"][0] = near_m
+        epoch.work["sin_h"], epoch.work["cos_h"] = sin_h, cos_h
+        for stage in self._stages:
+            stage(0, 1, epoch)
+        return epoch.work["fixed"][0], epoch.fixed_levels[0, 0]
 
 
 def _satellites(entries: Entries, risk: RiskConfig) -> Records:

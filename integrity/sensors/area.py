@@ -16,7 +16,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from lanebound.integrity.core.lasting import LastingBundle
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT, Streams
 from lanebound.integrity.sensors import area_kernel as kernel
@@ -25,10 +24,13 @@ from lanebound.integrity.sensors.augmentation import AugmentationAreas, advance_
 from lanebound.integrity.sensors.broadcast import BroadcastState, initial_broadcast
 from lanebound.integrity.sensors.clock import clock_gains
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, NetworkState, initial_network, link_parameters
-from lanebound.integrity.sensors.corrections_kernel import advance_network
-from lanebound.integrity.sensors.gnss import AreaSignals, GnssConfig, flat
+from lanebound.integrity.sensors.corrections_kernel import advance_networks
+from lanebound.integrity.sensors.draws_kernel import Draws
+from lanebound.integrity.sensors.gnss import AreaSignals, GnssConfig
 
 __all__ = ["AreaState", "advance_area", "initial_area"]
+
+NO_GENERATORS, NOT_DRAWN = np.empty((len(kernel.AREA_STREAMS), 0, 4), np.uint64), np.empty((0, 0))
 
 
 @dataclass
@@ -50,8 +52,10 @@ class AreaState:
     broadcast: BroadcastState | None = None
     providers: AugmentationAreas | None = None
 
-    def __post_init__(self) -> None:
-        self.bundle = LastingBundle()
+    @property
+    def rows(self) -> kernel.Areas:
+        """The areas as kernels take them."""
+        return kernel.Areas(self.network.areas, self.signals.site, self.signals.memory, self.signals.message)
 
     def copy(self) -> AreaState:
         """An independent copy."""
@@ -69,13 +73,9 @@ def initial_area(
     for part, names in ((slow, ("code_multipath", "phase_multipath")), (noise, ("code", "phase"))):
         for name in names:
             message[name] = part[name]
-    signals = AreaSignals(
-        memory=slow,
-        message=message,
-        clock=np.zeros((streams.batch, 2)),
-        reference_enu_m=config.reference_offset_m
-        * np.stack([np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], -1),
-    )
+    site = np.zeros(streams.batch, gk.SITE)
+    site["reference"] = config.reference_offset_m * np.stack([np.sin(azimuth), np.cos(azimuth), 0.0 * azimuth], -1)
+    signals = AreaSignals(memory=slow, message=message, site=site)
     broadcast = initial_broadcast(satellites, streams) if config.undifferenced else None
     given = config.augmentation
     providers = initial_providers(given, satellites, dt_s, streams) if given.providers else None
@@ -89,54 +89,34 @@ def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, 
     each epoch, by as many epochs as there are of them. The station's noise is new with each of its messages, which a
     receiver holds until it receives another (:mod:`.corrections`).
     """
-    epoch, network = round(time_s / dt_s), state.network
+    epoch, network, streams = round(time_s / dt_s), state.network, state.streams
     rules, link_rules = area_parameters(config, dt_s), link_parameters(link, dt_s)
-    owners = rules, link_rules, state.streams, state.signals, network
-    bundle = state.bundle.of(owners, lambda: _rows_of(rules, link_rules, state))
     while network.epoch < epoch:
         network.epoch += 1
         if state.broadcast is not None:
-            config.broadcast.advance(state.broadcast, dt_s, state.streams)
-        if state.streams.draws_by_row:
-            kernel.advance(network.epoch, bundle.handle)
+            config.broadcast.advance(state.broadcast, dt_s, streams)
+        generators = streams.together(kernel.AREA_STREAMS) if streams.draws_by_row else NO_GENERATORS
+        if generators.shape[1] == network.areas.shape[0]:
+            draws = Draws(generators, ZIGGURAT, streams.places, NOT_DRAWN)
+            kernel.advance(network.epoch, rules, link_rules, state.rows, draws)
         else:
-            _draw(bundle.values, state)
-            kernel.advance_drawn(network.epoch, bundle.handle)
+            _advance_drawn(state, rules, link_rules)
         if state.providers is not None and state.broadcast is not None:
             errors = config.broadcast, state.broadcast
-            advance_providers(config.augmentation, errors, state.providers, network.own_epoch, dt_s, state.streams)
+            advance_providers(config.augmentation, errors, state.providers, network.own_epoch, dt_s, streams)
 
 
-def _draw(area: kernel.AreaRows, state: AreaState) -> None:
-    """Advance the networks, and draw from streams that draw in a way of their own, for the kernel."""
-    rules, draws, streams, satellites = area.link_rules[0], area.draws, state.streams, area.memory.shape[1]
-    if rules["outages"]:
-        draws.outages[:] = streams.normal("network", 2)
-    advance_network(state.network.epoch, rules, draws.outages, area.network)
-    if state.network.fresh.any():
-        noise = streams.normal("station", satellites, gk.STATION_NOISE.itemsize // 8, where=state.network.fresh)
-        draws.noise_normals[:] = noise.reshape(draws.noise_normals.shape)
-    draws.atmosphere[:], draws.clock[:] = streams.normal("atmosphere", satellites), streams.normal("station", 2)
-
-
-def _rows_of(rules: Records, link_rules: Records, state: AreaState) -> kernel.AreaRows:
-    """The areas as the kernel takes them."""
-    signals, states = state.signals, state.streams.states
-    areas, satellites = signals.memory.shape
-    noise = np.zeros((areas, satellites), gk.STATION_NOISE)
-    draws = kernel.AreaDraws(
-        table=ZIGGURAT,
-        places=state.streams.places,
-        atmosphere_states=states("atmosphere"),
-        station_states=states("station"),
-        network_states=states("network"),
-        atmosphere=np.empty((areas, satellites)),
-        noise=noise,
-        noise_normals=flat(noise),
-        clock=np.empty((areas, 2)),
-        outages=np.empty((areas, 2)),
-    )
-    return kernel.AreaRows(rules, link_rules, state.network.rows, signals.memory, signals.message, signals.clock, draws)
+def _advance_drawn(state: AreaState, rules: Records, link_rules: Records) -> None:
+    """Advance the areas by draws of streams that draw in a way of their own, or from one generator for all areas."""
+    streams, network, slow = state.streams, state.network, state.signals.memory
+    outages = streams.normal("network", 2) if link_rules[0]["outages"] else np.zeros((len(slow), 2))
+    advance_networks(network.epoch, link_rules[0], outages, network.areas)
+    noise, fresh = np.zeros(slow.shape, gk.STATION_NOISE), network.areas["fresh"]
+    if fresh.any():
+        drawn = streams.normal("station", slow.shape[1], kernel.NOISE, where=fresh)
+        noise = drawn.view(gk.STATION_NOISE)[..., 0]
+    atmosphere, clock = streams.normal("atmosphere", slow.shape[1]), streams.normal("station", 2)
+    kernel.advance_all_drawn(network.epoch, rules, state.rows, atmosphere, noise, clock)
 
 
 @lru_cache(maxsize=64)

@@ -5,20 +5,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.bundle_kernel import unbundle
 from lanebound.integrity.core.records import Records, record
-from lanebound.integrity.sensors.corrections_kernel import NetworkRows, advance_network
-from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_normals_at
-from lanebound.integrity.sensors.gnss_kernel import BANDS, SLOW, gauss_markov
+from lanebound.integrity.core.streams_kernel import fill
+from lanebound.integrity.sensors.corrections_kernel import advance_network
+from lanebound.integrity.sensors.draws_kernel import draw_normals
+from lanebound.integrity.sensors.gnss_kernel import BANDS, SLOW, STATION_NOISE, gauss_markov
 
-__all__ = ["AREA_RULES", "PROCESSES", "AreaDraws", "AreaRows", "advance"]
+__all__ = ["AREA_RULES", "AREA_STREAMS", "PROCESSES", "Areas", "advance", "advance_all_drawn"]
 
-Array = NDArray[np.float64]
-Words = NDArray[np.uint64]
-
+AREA_STREAMS = ("atmosphere", "station", "network")
+ATMOSPHERE, STATION, NETWORK_STREAM = range(3)  # of them
+NOISE = STATION_NOISE.itemsize // 8  # numbers of a satellite
 PROCESSES = 4 + BANDS  # of SLOW, one of which advances in an epoch
 
 AREA_RULES = record(
@@ -31,42 +30,19 @@ AREA_RULES = record(
 )
 
 
-class AreaDraws(NamedTuple):
-    """Generators of A areas (A, 4), or one for all (1, 4), and arrays for the draws of an epoch.
-
-    table of :func:`~lanebound.integrity.core.streams_kernel.fill`; places (A, S) of the satellites to draw for, (0, 0)
-    for all; atmosphere (A, S); noise (A, S) of STATION_NOISE and the same memory as (A, 4 S); clock, outages (A, 2).
-    """
-
-    table: Array
-    places: NDArray[np.bool_]
-    atmosphere_states: Words
-    station_states: Words
-    network_states: Words
-    atmosphere: Array
-    noise: Records
-    noise_normals: Array
-    clock: Array
-    outages: Array
-
-
-class AreaRows(NamedTuple):
+class Areas(NamedTuple):
     """A areas of S satellites.
 
-    rules (1,) of AREA_RULES; link_rules (1,) of LINK_RULES; network; memory (A, S) of SLOW; message (A, S) of STATION;
-    clock (A, 2) offset [m] and drift [m/s] of the station's clock.
+    networks (A,) of NETWORK; sites (A,) of SITE; slow (A, S) of SLOW; message (A, S) of STATION, the newest one.
     """
 
-    rules: Records
-    link_rules: Records
-    network: NetworkRows
-    memory: Records
+    networks: Records
+    sites: Records
+    slow: Records
     message: Records
-    clock: Array
-    draws: AreaDraws
 
 
-@jit(borrows=True)
+@jit
 def advance_process(process, rules, z, slow):  # type: ignore[no-untyped-def]
     """Advance one of the slow processes of a satellite by the draw z."""
     decay, gain = rules.decay, rules.gain
@@ -84,7 +60,7 @@ def advance_process(process, rules, z, slow):  # type: ignore[no-untyped-def]
         slow.phase_multipath[b] = gauss_markov(before, decay.phase_multipath[b], gain.phase_multipath[b], z)
 
 
-@jit(borrows=True)
+@jit
 def write_message(slow, noise, message):  # type: ignore[no-untyped-def]
     """The station's part of a satellite in a new message: its multipath as it now is, and white noise."""
     message.code_multipath = slow.code_multipath
@@ -93,46 +69,43 @@ def write_message(slow, noise, message):  # type: ignore[no-untyped-def]
         message.code[b], message.phase[b] = noise.code[b], noise.phase[b]
 
 
-@jit(borrows=True)
-def draw_stations(first, last, area):  # type: ignore[no-untyped-def]
-    """The draws of areas ``first`` to ``last - 1`` after their network."""
-    draws = area.draws
-    draw_normals_at(first, last, draws.atmosphere_states, draws.places, draws.table, draws.atmosphere)
-    if area.network.fresh[first]:
-        draw_normals_at(first, last, draws.station_states, draws.places, draws.table, draws.noise_normals)
-    draw_normals(first, last, draws.station_states, draws.table, draws.clock)
+@jit
+def advance_drawn(a, epoch, rules, areas, atmosphere, noise, clock):  # type: ignore[no-untyped-def]
+    """Area a after its network and its draws: slow processes, fresh messages, and the station's clock.
 
-
-@jit(borrows=True)
-def advance_drawn(epoch, handle):  # type: ignore[no-untyped-def]
-    """All areas after their network and their draws: slow processes, fresh messages, and the stations' clocks."""
-    area = unbundle(handle)
-    rules, draws, network = area.rules[0], area.draws, area.network
-    for a in range(area.memory.shape[0]):
-        process = (epoch - network.begun[a]) % PROCESSES
-        for s in range(area.memory.shape[1]):
-            advance_process(process, rules, draws.atmosphere[a, s], area.memory[a, s])
-            if network.fresh[a]:
-                write_message(area.memory[a, s], draws.noise[a, s], area.message[a, s])
-        clock, z = area.clock[a], draws.clock[a]
-        clock[0] += rules.dt * clock[1] + rules.clock_11 * z[0]
-        clock[1] += rules.clock_21 * z[0] + rules.clock_22 * z[1]
-
-
-@jit(borrows=True)
-def advance(epoch, handle):  # type: ignore[no-untyped-def]
-    """All areas to ``epoch`` of the clock, the one after the present, with their draws; ``handle`` of AreaRows.
-
-    Areas with one generator for all have one clock, so that all or none have a fresh message.
+    Standard normals: atmosphere (S,), noise (S,) of STATION_NOISE, clock (2,).
     """
-    area = unbundle(handle)
-    draws, areas, link_rules = area.draws, area.memory.shape[0], area.link_rules[0]
-    if link_rules.outages:
-        draw_normals(0, areas, draws.network_states, draws.table, draws.outages)
-    advance_network(epoch, link_rules, draws.outages, area.network)
-    if draws.station_states.shape[0] == areas:
-        for a in range(areas):
-            draw_stations(a, a + 1, area)
-    else:
-        draw_stations(0, areas, area)
-    advance_drawn(epoch, handle)
+    network, site, slow, message = areas.networks[a], areas.sites[a], areas.slow[a], areas.message[a]
+    process = (epoch - network.begun) % PROCESSES
+    for s in range(slow.shape[0]):
+        advance_process(process, rules, atmosphere[s], slow[s])
+        if network.fresh:
+            write_message(slow[s], noise[s], message[s])
+    site.offset += rules.dt * site.drift + rules.clock_11 * clock[0]
+    site.drift += rules.clock_21 * clock[0] + rules.clock_22 * clock[1]
+
+
+@jit
+def advance(epoch, rules, link_rules, areas, draws):  # type: ignore[no-untyped-def]
+    """All areas to ``epoch`` of the clock, the one after the present: rules (1,) of AREA_RULES and of LINK_RULES.
+
+    draws : Draws of AREA_STREAMS, a generator for each area
+    """
+    generators, table, places, satellites = draws.generators, draws.table, draws.places, areas.slow.shape[1]
+    atmosphere, noise, two = np.empty(satellites), np.empty(NOISE * satellites), np.empty(2)
+    for a in range(areas.networks.shape[0]):
+        if link_rules[0].outages:
+            fill(generators[NETWORK_STREAM, a], table, two)
+        advance_network(epoch, link_rules[0], two, areas.networks[a])
+        draw_normals(generators[ATMOSPHERE, a], a, places, table, atmosphere)
+        if areas.networks[a].fresh:
+            draw_normals(generators[STATION, a], a, places, table, noise)
+        fill(generators[STATION, a], table, two)
+        advance_drawn(a, epoch, rules[0], areas, atmosphere, noise.view(STATION_NOISE), two)
+
+
+@jit
+def advance_all_drawn(epoch, rules, areas, atmosphere, noise, clock):  # type: ignore[no-untyped-def]
+    """:func:`advance_drawn` for A areas: rules (1,), atmosphere (A, S), noise (A, S), clock (A, 2)."""
+    for a in range(areas.networks.shape[0]):
+        advance_drawn(a, epoch, rules[0], areas, atmosphere[a], noise[a], clock[a])

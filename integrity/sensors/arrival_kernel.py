@@ -9,11 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.records import record
 from lanebound.integrity.sensors.multipath_kernel import (
     ARRIVAL,
     MOST_ARRIVALS,
@@ -39,8 +36,8 @@ __all__ = [
     "MULTIPATH",
     "PATH_RULES",
     "TRACKED",
+    "WORK",
     "SignalGeometry",
-    "SignalWork",
     "find_arrivals",
     "track",
 ]
@@ -80,43 +77,38 @@ TRACKED = record(
 """What lasts of a satellite's arrival from epoch to epoch."""
 
 
+WORK = record(
+    arrivals=(ARRIVAL, (MOST_ARRIVALS,), "direct or diffracted ray, and reflections"),
+    code=("f8", (BANDS,), "what they and near objects add to codes, by band [m]"),
+    carrier=("f8", (BANDS,), "the same of carriers [m]"),
+)
+"""The signal at hand."""
+
+
 class SignalGeometry(NamedTuple):
-    """A signal at an antenna: unit vector to the satellite, elevation [rad], antenna [m], velocity [m/s]."""
+    """A signal at an antenna: unit vector to the satellite, antenna [m], velocity [m/s]."""
 
     e: tuple[float, float, float]
-    elevation: float
     x: tuple[float, float, float]
     v: tuple[float, float, float]
 
 
-class SignalWork(NamedTuple):
-    """Work of B vehicles for the signal at hand.
-
-    arrivals (B, 4) of ARRIVAL; sources (B, 4) values of TRACKED.arrival; code, carrier (B, 2): errors by band [m].
-    """
-
-    arrivals: Records
-    sources: NDArray[np.float64]
-    code: NDArray[np.float64]
-    carrier: NDArray[np.float64]
-
-
-@jit(borrows=True)
+@jit
 def _dot(a, b):  # type: ignore[no-untyped-def]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@jit(borrows=True)
-def _add_direct(rules, path, edges, edge, way, fluctuation, wavelength, arrival):  # type: ignore[no-untyped-def]
+@jit
+def _add_direct(rules, reception, way, fluctuation, wavelength, arrival):  # type: ignore[no-untyped-def]
     """Fill the arrival of the direct or diffracted ray; its kind, BLOCKED for none.
 
     The mask says free or blocked for a whole cell; within a cell of its edge the line of the edge decides.
     """
+    path, line = reception.path, reception.line
     clear = path == LOS or path == FOLIAGE
     kind, loss = (path, 0.0) if clear else (BLOCKED, 0.0)
     arrival.excess_m = arrival.rate_mps = arrival.phase_rad = 0.0
-    if edge >= 0:
-        line = edges[edge]
+    if reception.edge >= 0:
         below, excess, rate = edge_detour(way.e, line.along, line.point, way.x, way.v)
         if abs(below) <= CELL_RAD or (below > 0.0) != clear:
             kind = path if clear else LOS
@@ -131,7 +123,7 @@ def _add_direct(rules, path, edges, edge, way, fluctuation, wavelength, arrival)
     return kind
 
 
-@jit(borrows=True)
+@jit
 def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-untyped-def]
     """Fill the arrival of a reflection at a face (FACE): ``L = 2 d (e.n)``, ``dL/dt = 2 (e.n)(n.v)``; False for none.
 
@@ -150,70 +142,69 @@ def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-u
     return arrival.amplitude > 0.0
 
 
-@jit(borrows=True, forceinline=True)
-def find_arrivals(rules, reception, v, s, way, fluctuation, wavelength, arrivals, sources):  # type: ignore[no-untyped-def]
-    """Fill arrivals and sources, at most 3, of satellite s at vehicle v: their number, and the kind of the direct one.
+@jit(forceinline=True)  # calls cost a third of the time of a signal
+def find_arrivals(rules, reception, way, fluctuation, wavelength, arrivals):  # type: ignore[no-untyped-def]
+    """Fill the arrivals of a signal (ARRIVAL), at most 3: their number, and the kind of the direct one.
 
-    reception of ReceptionRows, way of SignalGeometry. A reflection at an unknown face keeps the excess of the mask.
+    reception of RECEPTION, way of SignalGeometry. A reflection at an unknown face keeps the excess of the mask.
     """
-    path = reception.path[v, s]
-    edge = reception.edge[v, s]
-    kind = _add_direct(rules, path, reception.edges, edge, way, fluctuation, wavelength, arrivals[0])
-    count = 0
+    kind, count = _add_direct(rules, reception, way, fluctuation, wavelength, arrivals[0]), 0
     if kind != BLOCKED:
-        sources[0], count = DIRECT, 1
+        arrivals[0].source, count = DIRECT, 1
     for k in range(STRONGEST):
-        face = reception.face[v, s, k]
-        if face >= 0 and _add_reflection(rules, reception.faces[face], way, wavelength, arrivals[count]):
-            sources[count] = face
+        face = reception.face[k]
+        if face >= 0 and _add_reflection(rules, reception.planes[k], way, wavelength, arrivals[count]):
+            arrivals[count].source = face
             count += 1
-    if path == REFLECTED and count == 0 and reception.face[v, s, 0] < 0:
+    if reception.path == REFLECTED and count == 0 and reception.face[0] < 0:
         last = arrivals[0]
-        last.amplitude, last.excess_m = 10.0 ** (-0.05 * rules.reflection_loss), reception.excess[v, s]
+        last.amplitude, last.excess_m = 10.0 ** (-0.05 * rules.reflection_loss), reception.excess
         last.phase_rad = last.rate_mps = 0.0
-        sources[0], count = UNKNOWN_FACE, 1
+        last.source, count = UNKNOWN_FACE, 1
     return count, kind
 
 
-@jit(borrows=True)
-def _recall(memory, arrivals, sources, count, edge):  # type: ignore[no-untyped-def]
+@jit
+def _recall(memory, arrivals, count, edge):  # type: ignore[no-untyped-def]
     """Set the extra paths of the last epoch in the arrivals, and remember the present ones.
 
     A ray over another edge than in the last epoch is a new arrival: its path has no past.
     """
     for i in range(count):
-        arrivals[i].before_m = arrivals[i].excess_m
-        if sources[i] == DIRECT and memory.edge != edge:
+        arrival = arrivals[i]
+        arrival.before_m = arrival.excess_m
+        if arrival.source == DIRECT and memory.edge != edge:
             continue
         for k in range(MOST_ARRIVALS):
-            if memory.arrival != NOTHING and memory.sources[k] == sources[i]:
-                arrivals[i].before_m = memory.excess[k]
+            if memory.arrival != NOTHING and memory.sources[k] == arrival.source:
+                arrival.before_m = memory.excess[k]
     memory.edge = edge
     for i in range(MOST_ARRIVALS):
-        memory.sources[i], memory.excess[i] = (sources[i], arrivals[i].excess_m) if i < count else (NOTHING, 0.0)
+        there = i < count
+        memory.sources[i], memory.excess[i] = (arrivals[i].source, arrivals[i].excess_m) if there else (NOTHING, 0.0)
 
 
-@jit(borrows=True, forceinline=True)
-def track(rules, band, count, work, v, edge, chance, bands, memory):  # type: ignore[no-untyped-def]
+@jit(forceinline=True)  # calls cost a third of the time of a signal
+def track(rules, wavelength, chip, bands, edge, chance, memory, count, work):  # type: ignore[no-untyped-def]
     """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate,
     and the present power over that of an unobstructed signal [dB].
 
-    band: wavelength and chip [m], (2,) each; ``work`` of vehicle v gets the errors of code and carrier by band; edge
-    of the direct ray, -1 for none. When another arrival becomes the strongest, the lock is kept with probability
+    wavelength and chip (2,) [m] of the ``bands`` tracked; edge of the direct ray, -1 for none; ``work`` (WORK) has the
+    arrivals and gets the errors. When another arrival becomes the strongest, the lock is kept with probability
     ``rules.keep_lock`` (``chance``, a uniform draw): the loop follows the phase of the sum. Otherwise the receiver
     notices.
     """
-    arrivals, sources = work.arrivals[v], work.sources[v]
+    arrivals = work.arrivals
     r = strongest_of(arrivals, count)
     old, rate, fade = memory.arrival, 0.0, 0.0
-    broken = old != NOTHING and old != sources[r] and chance >= rules.keep_lock
-    _recall(memory, arrivals, sources, count, edge)
-    memory.arrival = sources[r]
+    broken = old != NOTHING and old != arrivals[r].source and chance >= rules.keep_lock
+    _recall(memory, arrivals, count, edge)
+    memory.arrival = arrivals[r].source
     for b in range(bands):
-        loops = Loops(band[0][b], band[1][b], rules.spacing, rules.code_loop, rules.carrier_loop)
+        loops = Loops(wavelength[b], chip[b], rules.spacing, rules.code_loop, rules.carrier_loop)
         sum_, last = combine(arrivals, count, r, loops), memory.carrier[b] if old != NOTHING else math.nan
         memory.carrier[b] = follow_carrier(arrivals, count, r, loops, last)
-        work.code[v, b], work.carrier[v, b] = sum_.code_m, memory.carrier[b]
+        work.code[b], work.carrier[b] = sum_.code_m, memory.carrier[b]
         if b == 0:
             rate = sum_.rate_mps
             fade = 20.0 * math.log10(max(sum_.amplitude, 1e-6)) if sum_.amplitude != 1.0 else 0.0

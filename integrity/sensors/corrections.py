@@ -70,35 +70,20 @@ class NetworkState:
     Attributes
     ----------
     epoch : epoch of the common clock of all areas
-    begun : (A,) int64, epoch of the common clock at the start of each area's own clock
-    message : (A,) int64, number of the newest reference epoch whose message was due, -1 before the first
-    fresh : (A,) bool, this message was due in the last epoch
-    up : (A,) bool, the network transmitted messages in the last epoch
-    outage_left : (A,) int64, remaining epochs of the current outage
-    until : (A,) int64, epochs until the next outage
+    areas : (A,) of NETWORK, a record of :mod:`.corrections_kernel`
     """
 
     epoch: int
-    begun: NDArray[np.int64]
-    message: NDArray[np.int64]
-    fresh: NDArray[np.bool_]
-    up: NDArray[np.bool_]
-    outage_left: NDArray[np.int64]
-    until: NDArray[np.int64]
+    areas: Records
 
     def copy(self) -> NetworkState:
         """An independent copy."""
         return copy.deepcopy(self)
 
     @property
-    def rows(self) -> kernel.NetworkRows:
-        """The arrays as kernels take them."""
-        return kernel.NetworkRows(self.begun, self.message, self.fresh, self.up, self.outage_left, self.until)
-
-    @property
     def own_epoch(self) -> NDArray[np.int64]:
         """Epochs since the start of each area's own clock.  (A,)."""
-        return self.epoch - self.begun
+        return np.asarray(self.epoch - self.areas["begun"])
 
 
 @dataclass
@@ -178,16 +163,10 @@ def initial_network(config: CorrectionsConfig, dt_s: float, streams: Streams) ->
     if not dt_s > 0.0:
         raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of the epoch in seconds")
     law, u, z = _outage_model(config, dt_s), streams.uniform("network", 3), streams.normal("network")
-    down = u[:, 0] < law.network_down
-    return NetworkState(
-        epoch=0,
-        begun=np.zeros(down.size, dtype=np.int64),
-        message=np.full(down.size, -1, dtype=np.int64),
-        fresh=np.zeros(down.size, dtype=np.bool_),
-        up=~down,
-        outage_left=np.where(down, _residual(law, u[:, 1:]), 0),
-        until=np.array([0 if d else 1 + kernel.quiet_epochs(law.rules[0], q) for d, q in zip(down, z, strict=True)]),
-    )
+    down, areas = u[:, 0] < law.network_down, np.zeros(streams.batch, kernel.NETWORK)
+    areas["message"], areas["up"], areas["outage_left"] = -1, ~down, np.where(down, _residual(law, u[:, 1:]), 0)
+    areas["until"] = [0 if d else 1 + kernel.quiet_epochs(law.rules[0], q) for d, q in zip(down, z, strict=True)]
+    return NetworkState(epoch=0, areas=areas)
 
 
 def initial_state(
@@ -201,13 +180,14 @@ def initial_state(
         The number of networks is neither 1 nor the number of vehicles.
     """
     batch = streams.batch
-    if network.up.shape[0] not in (1, batch):
-        raise InputError(f"network must be of 1 or {batch} areas, got {network.up.shape[0]}: make both agree")
+    if network.areas.size not in (1, batch):
+        raise InputError(f"network must be of 1 or {batch} areas, got {network.areas.size}: make both agree")
     law, u = _outage_model(config, dt_s), streams.uniform("corrections", 3)
     left = _residual(law, u[:, 1:])
-    down = (u[:, 0] < law.own_down) & network.up & (left <= network.until)
+    areas = network.areas
+    down = (u[:, 0] < law.own_down) & areas["up"] & (left <= areas["until"])
     links = np.zeros(batch, kernel.LINK)
-    links["newest"], links["outage_left"], links["up"] = -1, np.where(down, left, 0), network.up & ~down
+    links["newest"], links["outage_left"], links["up"] = -1, np.where(down, left, 0), areas["up"] & ~down
     return CorrectionsState(links, np.zeros((batch, satellites), STATION))
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.sensors.finite_kernel import finite_bands, finite_signals
-from lanebound.integrity.sensors.instruments import Measurements
+from lanebound.integrity.sensors.finite_kernel import finite_bands, finite_records
+from lanebound.integrity.sensors.instruments import Measurements, observed
 
 __all__ = ["with_finite"]
 
@@ -35,11 +35,7 @@ def with_finite(m: Measurements) -> Measurements:
     InputError
         A value of gyros, accelerometers, wheels, chassis, compass or barometer is not finite.
     """
-    g = m.gnss
-    finite = finite_signals(
-        m.sky.los_enu, g.cn0_dbhz, g.code_m, g.phase_m, g.range_rate_mps, g.corrections_age_s, m.imu.delta_theta_rad,
-        m.imu.delta_v_mps, m.odometer.speed_mps, m.odometer.distance_m,
-    )  # fmt: skip
+    g, finite = m.gnss, bool(finite_records(*observed(m)))
     if finite and g.raw_code_m is not None and g.raw_phase_m is not None:
         finite = finite_bands(g.raw_code_m, g.raw_phase_m)
     if finite and m.chassis is None and m.compass is None and m.barometer is None:

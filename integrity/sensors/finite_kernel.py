@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
+import math
+
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.sensors.arrival_kernel import BANDS
 
-__all__ = ["finite_bands", "finite_signals"]
+__all__ = ["finite_bands", "finite_records"]
 
 
-@jit(borrows=True)
-def finite_signals(los, cn0, code, phase, rate, age, turn, delta_v, speed, distance):  # type: ignore[no-untyped-def]
-    """Whether los (N, S, 3), cn0 and rate (B, S), code and phase (B, S, 2), turn and delta_v (B, 3), speed and
-    distance (B,) hold finite values alone, and age (B,) no NaN."""
+@jit
+def finite_records(signals, vehicles):  # type: ignore[no-untyped-def]
+    """Whether signals (B, S) of OBSERVED_SIGNAL and vehicles (B,) of OBSERVED_VEHICLE hold finite values alone, and no
+    NaN as age."""
     total = 0.0
-    for x in (cn0, rate, turn, delta_v):
-        for i in range(x.shape[0]):
-            for j in range(x.shape[1]):
-                total += 0.0 * x[i, j]
-    for y in (los, code, phase):
-        for i in range(y.shape[0]):
-            for j in range(y.shape[1]):
-                for k in range(y.shape[2]):
-                    total += 0.0 * y[i, j, k]
-    for i in range(speed.shape[0]):
-        total += 0.0 * speed[i] + 0.0 * distance[i]
-        if age[i] != age[i]:
+    for v in range(vehicles.shape[0]):
+        vehicle = vehicles[v]
+        if math.isnan(vehicle.age):
             return False
+        total += 0.0 * vehicle.speed + 0.0 * vehicle.distance
+        for k in range(3):
+            total += 0.0 * vehicle.turn[k] + 0.0 * vehicle.delta_v[k]
+        for s in range(signals.shape[1]):
+            signal = signals[v, s]
+            total += 0.0 * signal.cn0 + 0.0 * signal.range_rate
+            total += 0.0 * signal.e[0] + 0.0 * signal.e[1] + 0.0 * signal.e[2]
+            for b in range(BANDS):
+                total += 0.0 * signal.code[b] + 0.0 * signal.phase[b]
     return total == 0.0
 
 
-@jit(borrows=True)
+@jit
 def finite_bands(code, phase):  # type: ignore[no-untyped-def]
     """Whether code and phase (B, S, 2) hold finite values alone."""
     total = 0.0

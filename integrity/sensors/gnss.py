@@ -19,14 +19,14 @@ from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import gnss_kernel as gk
-from lanebound.integrity.sensors.arrival_kernel import NOTHING, PATH_RULES, SignalWork
+from lanebound.integrity.sensors.arrival_kernel import NOTHING, PATH_RULES
 from lanebound.integrity.sensors.augmentation import AugmentationConfig, AugmentationHeld, Corrections, initial_held
 from lanebound.integrity.sensors.broadcast import BroadcastConfig, BroadcastState
 from lanebound.integrity.sensors.clock import OCXO_H0, OCXO_HM2, TCXO_H0, TCXO_HM2, clock_gains
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.sensors.multipath_kernel import ARRIVAL, MOST_ARRIVALS
 from lanebound.integrity.sensors.near_objects import NearObjectsConfig, near_rules
 from lanebound.integrity.sensors.near_objects_kernel import NEAR
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL, OBSERVED_VEHICLE
 from lanebound.integrity.sky.materials import material_table, permittivities
 from lanebound.integrity.sky.systems import CHIP_M, N_SYSTEMS, WAVELENGTH_M
 from lanebound.integrity.sky.view import SkyView
@@ -82,14 +82,13 @@ class GnssEpoch:
 class AreaSignals:
     """Errors common to all receivers of an area; A is 1, or the number of vehicles if each has its own area.
 
-    memory (A, S) of SLOW (:mod:`.gnss_kernel`), message (A, S) of STATION, the station's newest message, clock (A, 2)
-    the station's clock [m], [m/s], reference_enu_m (A, 3) the error of its coordinates.
+    memory (A, S) of SLOW (:mod:`.gnss_kernel`), message (A, S) of STATION, the station's newest message, site (A,) of
+    SITE, its clock and the error of its coordinates.
     """
 
     memory: Records
     message: Records
-    clock: Array
-    reference_enu_m: Array
+    site: Records
 
 
 class GnssConfig(Config):
@@ -388,18 +387,19 @@ def observe(
         )
     if message.shape != (batch, n_sat):
         raise InputError(f"message must have shape {(batch, n_sat)}, got {message.shape}: one for each vehicle")
-    receivers = gk.Receivers(
-        gnss_parameters(config, truth.dt_s), state.signals, state.vehicles,
+    draws = gk.ReceiverDraws(
         streams.normal("gnss", n_sat, gk.NORMALS.itemsize // 8).view(gk.NORMALS)[..., 0],
         streams.uniform("gnss", n_sat, gk.UNIFORMS.itemsize // 8).view(gk.UNIFORMS)[..., 0],
-        streams.normal("clock", 2),
         near_draws(streams, n_sat) if config.near_objects.fitted else np.zeros((batch, n_sat), NEAR),
-        message, area.memory, area.clock, area.reference_enu_m, blank_work(batch),
+        streams.normal("clock", 2),
+    )
+    signals, vehicles = np.empty((batch, n_sat), OBSERVED_SIGNAL), np.zeros(batch, OBSERVED_VEHICLE)
+    vehicles["sight"], vehicles["age"], vehicles["next_best"] = sky.index, age_s, effects.next_best
+    gk.observe(
+        gnss_parameters(config, truth.dt_s), area.site, area.memory, message, state.vehicles, state.signals, draws,
+        sky.rows, reception.records, truth.records, effects.signals, effects.vehicles, signals, vehicles,
     )  # fmt: skip
-    out = blank_gnss(batch, n_sat)
-    out.age[:] = age_s
-    gk.observe(reception.rows, receivers, sky.rows, motion_rows(truth), effect_rows(effects), out)
-    return gnss_epoch(out, effects)
+    return gnss_epoch(signals, vehicles)
 
 
 def undifferenced(
@@ -423,8 +423,8 @@ def undifferenced(
     los, batch, r = sky.los_enu[sky.index], epoch.tracked.shape[0], rules[0]
     row, sine = np.arange(batch) % area.memory.shape[0], np.where(epoch.tracked, los[..., 2], 1.0)
     alike, iono = config.broadcast.delays(broadcast, sine, row)
-    offset = area.reference_enu_m[row] + effects.reference_enu_m
-    alike += np.einsum("bsk,bk->bs", los, offset) + area.clock[row, None, 0]
+    offset = area.site["reference"][row] + effects.reference_enu_m
+    alike += np.einsum("bsk,bk->bs", los, offset) + area.site["offset"][row, None]
     aged = np.isfinite(epoch.corrections_age_s) & (epoch.corrections_age_s < MOST_AGE_S)
     age_s = np.where(aged, epoch.corrections_age_s, 0.0)
     alike -= r["age_rate"] * age_s[:, None] * area.memory["age"][row]
@@ -443,45 +443,9 @@ def near_draws(streams: Streams, satellites: int) -> Records:
     return streams.normal("near_objects", satellites, NEAR.itemsize // 8).view(NEAR)[..., 0]
 
 
-def blank_work(batch: int) -> SignalWork:
-    """Work of receivers for the signal at hand."""
-    shape = batch, MOST_ARRIVALS
-    return SignalWork(np.zeros(shape, ARRIVAL), np.zeros(shape), *np.zeros((2, batch, gk.BANDS)))
-
-
-def blank_gnss(batch: int, satellites: int) -> gk.GnssOutputs:
-    """Outputs of receivers, to be filled."""
-    code, phase = np.empty((2, batch, satellites, gk.BANDS))
-    range_rate, cn0 = np.empty((2, batch, satellites))
-    tracked, lock_lost = np.empty((2, batch, satellites), np.bool_)
-    return gk.GnssOutputs(tracked, code, phase, range_rate, cn0, lock_lost, np.empty(batch))
-
-
-def gnss_epoch(out: gk.GnssOutputs, effects: FaultEffects) -> GnssEpoch:
-    """The filled outputs, and the faults of what positioning makes of them."""
+def gnss_epoch(signals: Records, vehicles: Records) -> GnssEpoch:
+    """The output of receivers whose arrays are fields of (B, S) of OBSERVED_SIGNAL and (B,) of OBSERVED_VEHICLE."""
     return GnssEpoch(
-        out.tracked, out.code, out.phase, out.range_rate, out.cn0, out.lock_lost, out.age,
-        integer_error=effects.integer_error, next_best=effects.next_best,
-    )  # fmt: skip
-
-
-def flat(records: Records) -> Array:
-    """Records of float64 (B, S) as (B, numbers), in the same memory."""
-    return records.view(np.float64).reshape(records.shape[0], -1)
-
-
-def motion_rows(truth: Truth) -> gk.MotionRows:
-    """True motion as kernels take it."""
-    t = truth
-    return gk.MotionRows(
-        t.position_enu_m, t.velocity_enu_mps, t.delta_theta_rad, t.delta_v_mps, t.distance_m, t.arc_m, t.lane
-    )
-
-
-def effect_rows(effects: FaultEffects) -> gk.EffectRows:
-    """Effects of faults as kernels take them."""
-    e = effects
-    return gk.EffectRows(
-        e.code_bias_m, e.phase_bias_m, e.range_rate_bias_mps, e.cn0_drop_db, e.slip_cycles, e.spoof_enu_m,
-        e.reference_enu_m, e.corrections_lost, e.gyro_bias_radps, e.odometer_scale, e.odometer_frozen,
+        signals["tracked"], signals["code"], signals["phase"], signals["range_rate"], signals["cn0"],
+        signals["lock_lost"], vehicles["age"], integer_error=signals["integer_error"], next_best=vehicles["next_best"],
     )  # fmt: skip

@@ -17,8 +17,8 @@ from lanebound.integrity.sensors.arrival_kernel import (
     NOTHING,
     PATH_RULES,
     TRACKED,
+    WORK,
     SignalGeometry,
-    SignalWork,
     find_arrivals,
     track,
 )
@@ -32,21 +32,15 @@ __all__ = [
     "NORMALS",
     "RECEIVER",
     "SIGNAL",
+    "SITE",
     "SLOW",
     "STATION",
     "STATION_NOISE",
     "UNIFORMS",
-    "EffectRows",
-    "GnssOutputs",
-    "MotionRows",
-    "Receivers",
+    "ReceiverDraws",
     "observe",
     "observe_vehicle",
 ]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 GNSS_RULES = record(
     dt="length of an epoch [s]",
@@ -140,6 +134,13 @@ SLOW = record(
 )
 """Processes of unit variance that last for minutes, of a satellite in an area."""
 
+SITE = record(
+    offset="of its clock [m]",
+    drift="of its clock [m/s]",
+    reference=("f8", (3,), "error of its coordinates, ENU [m]"),
+)
+"""The reference station of an area."""
+
 STATION = record(
     code_multipath="code multipath when the station measured",
     phase_multipath=("f8", (BANDS,), "phase multipath, by band"),
@@ -155,89 +156,23 @@ LN10 = math.log(10.0)
 COHERENT_S = 0.02  # of a correlation: a bit of the GPS L1 C/A message
 
 
-class MotionRows(NamedTuple):
-    """True motion of B vehicles, as in :class:`~lanebound.integrity.motion.truth.Truth`.
+class ReceiverDraws(NamedTuple):
+    """Draws of an epoch: normals (..., S) of NORMALS, uniforms of UNIFORMS, near of NEAR, clock (..., 2)."""
 
-    position, velocity, turn, delta_v (B, 3); distance, arc (B,) [m]; lane (B,).
-    """
-
-    position: Array
-    velocity: Array
-    turn: Array
-    delta_v: Array
-    distance: Array
-    arc: Array
-    lane: Ints
-
-
-class EffectRows(NamedTuple):
-    """Effects of faults, as in :class:`~lanebound.integrity.sensors.effects.FaultEffects`.
-
-    code_bias, phase_bias, rate_bias, cn0_drop (B, S); slips (B, S, 2) cycles; spoof, reference (B, 3); lost, gyro_bias,
-    odometer_scale, odometer_frozen (B,).
-    """
-
-    code_bias: Array
-    phase_bias: Array
-    rate_bias: Array
-    cn0_drop: Array
-    slips: Ints
-    spoof: Array
-    reference: Array
-    lost: Bools
-    gyro_bias: Array
-    odometer_scale: Array
-    odometer_frozen: Bools
-
-
-class Receivers(NamedTuple):
-    """B receivers in A areas, A is 1 or B.
-
-    rules (1,) of GNSS_RULES; signals (B, S) of SIGNAL; vehicles (B,) of RECEIVER; normals (B, S) of NORMALS, uniforms
-    (B, S) of UNIFORMS, clock_normals (B, 2) and near_normals (B, S) of NEAR, the draws of the epoch; held (B, S) of
-    STATION, the message held; area (A, S) of SLOW; station_clock (A, 2) its offset [m] and drift [m/s]; reference
-    (A, 3) error of its coordinates [m]; work of arrivals.
-    """
-
-    rules: Records
-    signals: Records
-    vehicles: Records
     normals: Records
     uniforms: Records
-    clock_normals: Array
-    near_normals: Records
-    held: Records
-    area: Records
-    station_clock: Array
-    reference: Array
-    work: SignalWork
-
-
-class GnssOutputs(NamedTuple):
-    """Arrays of a :class:`~lanebound.integrity.sensors.gnss.GnssEpoch`.
-
-    code, phase (B, S, 2); age (B,); all others (B, S).
-    """
-
-    tracked: Bools
-    code: Array
-    phase: Array
-    range_rate: Array
-    cn0: Array
-    lock_lost: Bools
-    age: Array
+    near: Records
+    clock: NDArray[np.float64]
 
 
 class _Path(NamedTuple):
-    """What all bands have in common [m]; power and clear of :func:`noise_power`; code and carrier (2,) by band [m]."""
+    """What all bands have in common [m]; power and clear of :func:`noise_power`."""
 
     common: float
     code_error: float
     phase_error: float
     power: float
     clear: float
-    code: Array
-    carrier: Array
 
 
 @jit(inline=True)
@@ -246,7 +181,7 @@ def gauss_markov(value, decay, gain, z):  # type: ignore[no-untyped-def]
     return decay * value + gain * z
 
 
-@jit(borrows=True)
+@jit
 def advance(rules, decay, gain, z, signal):  # type: ignore[no-untyped-def]
     """Advance what lasts in a signal by the draws ``z`` (NORMALS); ``decay`` and ``gain`` are those of multipath."""
     signal.cn0 = gauss_markov(signal.cn0, rules.cn0_decay, rules.cn0_gain, z.cn0)
@@ -256,13 +191,13 @@ def advance(rules, decay, gain, z, signal):  # type: ignore[no-untyped-def]
         signal.phase_multipath[b] = gauss_markov(signal.phase_multipath[b], decay, gain, z.phase_multipath[b])
 
 
-@jit(borrows=True)
+@jit
 def open_level(rules, sine, drop, fluctuation):  # type: ignore[no-untyped-def]
     """C/N0 of an unobstructed signal [dB-Hz]: antenna pattern over elevation, slow fading, ``drop`` by jamming [dB]."""
     return rules.cn0_horizon + (rules.cn0_zenith - rules.cn0_horizon) * sine - drop + rules.cn0_sigma * fluctuation
 
 
-@jit(borrows=True)
+@jit
 def sees_lock(rules, level, noise, tracked):  # type: ignore[no-untyped-def]
     """Whether the lock detector finds a carrier above ``least_snr``; ``level`` of the unobstructed signal [dB-Hz].
 
@@ -274,13 +209,13 @@ def sees_lock(rules, level, noise, tracked):  # type: ignore[no-untyped-def]
     return estimate >= rules.least_snr
 
 
-@jit(borrows=True)
+@jit
 def digits(u, place):  # type: ignore[no-untyped-def]
     """A further uniform draw out of the lower digits of another one."""
     return (u * place) % 1.0
 
 
-@jit(borrows=True)
+@jit
 def slip(rules, kind, signal):  # type: ignore[no-untyped-def]
     """Let the carrier slip by one half or by 1 to 4 whole cycles, on one or both bands; whether that is noticed."""
     size = math.floor(8.0 * digits(kind, 1e6)) - 4.0
@@ -291,13 +226,13 @@ def slip(rules, kind, signal):  # type: ignore[no-untyped-def]
     return digits(kind, 1e4) >= rules.unannounced
 
 
-@jit(borrows=True)
+@jit
 def whole(half_cycles):  # type: ignore[no-untyped-def]
     """The next even number of half cycles at or below."""
     return 2.0 * math.floor(0.5 * half_cycles)
 
 
-@jit(borrows=True)
+@jit
 def settle_half_cycle(rules, signal):  # type: ignore[no-untyped-def]
     """Count how long a half cycle is in doubt; once the data have shown their sign, correct it and return True."""
     if whole(signal.ambiguity[0]) == signal.ambiguity[0] and whole(signal.ambiguity[1]) == signal.ambiguity[1]:
@@ -312,13 +247,13 @@ def settle_half_cycle(rules, signal):  # type: ignore[no-untyped-def]
     return True
 
 
-@jit(borrows=True)
+@jit
 def weakness(rules, level):  # type: ignore[no-untyped-def]
     """Rate of slips at ``level`` [dB-Hz] against that at the reference C/N0."""
     return math.exp(LN10 * (rules.slip_cn0 - level) / rules.slip_decade)
 
 
-@jit(borrows=True)
+@jit
 def follow(rules, level, received, locked, u, signal):  # type: ignore[no-untyped-def]
     """Advance the tracking of a signal; whether code and carrier are followed now, and whether a lock was lost.
 
@@ -343,14 +278,14 @@ def follow(rules, level, received, locked, u, signal):  # type: ignore[no-untype
     return received and signal.code_s >= rules.code_delay, has_phase, lost
 
 
-@jit(borrows=True)
+@jit
 def advance_clock(rules, z, receiver):  # type: ignore[no-untyped-def]
     """Advance a clock of two states, offset [m] and drift [m/s], by an epoch with two standard normals."""
     receiver.offset += rules.dt * receiver.drift + rules.clock_11 * z[0]
     receiver.drift += rules.clock_21 * z[0] + rules.clock_22 * z[1]
 
 
-@jit(borrows=True)
+@jit
 def noise_power(slant, level):  # type: ignore[no-untyped-def]
     """Noise variance against that of a strong signal at the zenith, and what elevation alone makes of it.
 
@@ -360,13 +295,13 @@ def noise_power(slant, level):  # type: ignore[no-untyped-def]
     return clear * (1.0 + math.exp(LN10 * 0.1 * (35.0 - level))), clear
 
 
-@jit(borrows=True)
+@jit
 def own_part(sigma, station, power, clear):  # type: ignore[no-untyped-def]
     """The receiver's part of a single difference of ``sigma``, whose other part is the station's, in the clear."""
     return math.sqrt(sigma * sigma * power - station * station * clear)
 
 
-@jit(borrows=True)
+@jit
 def common_delay(rules, slant, age, slow):  # type: ignore[no-untyped-def]
     """What delays code and carrier of all bands alike [m]: ageing corrections, troposphere and orbit."""
     mapped = rules.tropo_sigma * slant
@@ -374,9 +309,9 @@ def common_delay(rules, slant, age, slow):  # type: ignore[no-untyped-def]
     return rules.age_rate * age * slow.age + delay * slow.tropo
 
 
-@jit(borrows=True, forceinline=True)
-def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, code, phase):  # type: ignore[no-untyped-def]
-    """Code and phase (2,) of a satellite of system c: what is common to all, and what each band adds."""
+@jit(forceinline=True)  # calls cost a third of the time of a signal
+def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, work, out):  # type: ignore[no-untyped-def]
+    """Code and phase of a satellite of system c: what is common to all, and what each band adds."""
     iono, root = rules.iono_sigma * slow.iono, math.sqrt(path.clear)
     code_error = path.code_error - rules.station_code_multipath * root * station.code_multipath
     own_code = own_part(rules.code_sigma, rules.station_code, path.power, path.clear)
@@ -385,12 +320,12 @@ def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, co
     for b in range(rules.bands):
         delay = iono * rules.dispersion[c, b]
         noise = own_code * z.code[b] - rules.station_code * root * station.code[b]
-        code[b] = path.common + receiver.code_delay[c, b] + delay + code_error + noise + path.code[b]
+        out.code[b] = path.common + receiver.code_delay[c, b] + delay + code_error + noise + work.code[b]
         if has_phase:
             noise = own_phase * z.phase[b] + own_multipath * signal.phase_multipath[b]
             theirs = rules.station_phase * station.phase[b] + rules.station_phase_multipath * station.phase_multipath[b]
             cycles = 0.5 * rules.wavelength[c, b] * signal.ambiguity[b]
-            phase[b] = (
+            out.phase[b] = (
                 path.common
                 + receiver.phase_delay[c, b]
                 - delay
@@ -398,102 +333,120 @@ def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, co
                 + cycles
                 + noise
                 - root * theirs
-                + path.carrier[b]
+                + work.carrier[b]
             )
 
 
-@jit(borrows=True, forceinline=True)
-def by_paths(receivers, reception, v, s, way, system, u):  # type: ignore[no-untyped-def]
+@jit(forceinline=True)  # calls cost a third of the time of a signal
+def by_paths(rules, reception, way, system, u, signal, work):  # type: ignore[no-untyped-def]
     """Reception by the paths of ray casting: (received, lock broken, range rate error [m/s], present power over that of
     the unobstructed signal [dB]); sets ``reception.path``.
 
-    The errors by band are in ``receivers.work``, the smoothed powers in the signal.
+    The errors by band are in ``work`` (WORK), the smoothed powers in the signal.
     """
-    rules, work, signal = receivers.rules[0], receivers.work, receivers.signals[v, s]
     memory, wave = signal.tracked, rules.wavelength[system, 0]
-    count, kind = find_arrivals(rules.paths, reception, v, s, way, signal.cn0, wave, work.arrivals[v], work.sources[v])
+    count, kind = find_arrivals(rules.paths, reception, way, signal.cn0, wave, work.arrivals)
     if count == 0:
         memory.arrival = NOTHING
-        work.code[v], work.carrier[v] = 0.0, 0.0
-        reception.path[v, s] = BLOCKED
+        for b in range(BANDS):
+            work.code[b] = work.carrier[b] = 0.0
+        reception.path = BLOCKED
         return False, False, 0.0, 0.0
-    bands = rules.wavelength[system], rules.chip[system]
-    edge, chance = reception.edge[v, s], digits(u.slip, 1e4)
-    broken, strongest, rate, fade = track(rules.paths, bands, count, work, v, edge, chance, rules.bands, memory)
-    if work.sources[v, strongest] != DIRECT:
-        reception.path[v, s] = REFLECTED
+    broken, strongest, rate, fade = track(
+        rules.paths, rules.wavelength[system], rules.chip[system], rules.bands, reception.edge, digits(u.slip, 1e4),
+        memory, count, work,
+    )  # fmt: skip
+    if work.arrivals[strongest].source != DIRECT:
+        reception.path = REFLECTED
     else:
-        reception.path[v, s] = MULTIPATH if count > 1 and kind == LOS else kind
+        reception.path = MULTIPATH if count > 1 and kind == LOS else kind
     return True, broken, rate, fade
 
 
-@jit(borrows=True)
-def observe_vehicle(v, reception, receivers, sky, truth, effects, out):  # type: ignore[no-untyped-def]
-    """Advance the receiver of vehicle v and fill its outputs, but for the age, which is read; untracked entries are 0.
+@jit
+def observe_vehicle(  # type: ignore[no-untyped-def]
+    rules, site, slows, held, receiver, memory, draws, sky, reception, truth, effects, moved, signals, vehicle, work
+):  # fmt: skip
+    """Advance the receiver of a vehicle and fill what it observes of S satellites.
 
-    reception of ReceptionRows: how each signal arrives. The signals describe the position plus the spoofing.
+    Entries of untracked signals are 0. Those tracked describe the position plus the spoofing.
+
+    Parameters
+    ----------
+    rules, site, slows, held : GNSS_RULES; SITE and (S,) of SLOW of the area; (S,) of STATION, the message held
+    receiver, memory, draws : RECEIVER and (S,) of SIGNAL, which advance by ReceiverDraws
+    sky : SatelliteRows
+    reception : (S,) of RECEPTION, how each signal arrives; its path becomes what is tracked
+    truth : TRUTH of the antenna
+    effects, moved : (S,) of SIGNAL_EFFECTS, and VEHICLE_EFFECTS
+    signals, vehicle : (S,) of OBSERVED_SIGNAL, filled, and OBSERVED_VEHICLE, whose sight and age are read
+    work : WORK, scratch
     """
-    rules, receiver, k = receivers.rules[0], receivers.vehicles[v], sky.row[v]
-    path, work = reception.path[v], receivers.work
-    a = v % receivers.area.shape[0]
-    used_age = out.age[v] if out.age[v] < 1e6 else 0.0
-    vx, vy, vz = truth.velocity[v, 0], truth.velocity[v, 1], truth.velocity[v, 2]
-    antenna, velocity = (truth.position[v, 0], truth.position[v, 1], truth.position[v, 2]), (vx, vy, vz)
+    los, above = sky.los[vehicle.sight], sky.above[vehicle.sight]
+    used_age = vehicle.age if vehicle.age < 1e6 else 0.0
+    vx, vy, vz = truth.velocity[0], truth.velocity[1], truth.velocity[2]
+    antenna, velocity = (truth.position[0], truth.position[1], truth.position[2]), (vx, vy, vz)
     speed = math.sqrt(vx * vx + vy * vy)
     decay = rules.multipath_decay * math.exp(-rules.dt * speed * rules.multipath_per_m)
     gain = math.sqrt(1.0 - decay * decay)
-    advance_clock(rules, receivers.clock_normals[v], receiver)
-    offset = receiver.offset - receivers.station_clock[a, 0]
-    spoof, reference, moved = effects.spoof, receivers.reference, effects.reference
-    x = (truth.position[v, 0] + spoof[v, 0]) + (reference[a, 0] + moved[v, 0])
-    y = (truth.position[v, 1] + spoof[v, 1]) + (reference[a, 1] + moved[v, 1])
-    h = (truth.position[v, 2] + spoof[v, 2]) + (reference[a, 2] + moved[v, 2])
-    work.code[v], work.carrier[v] = 0.0, 0.0
-    for s in range(path.shape[0]):
-        signal = receivers.signals[v, s]
-        out.tracked[v, s] = out.lock_lost[v, s] = False
-        out.cn0[v, s] = out.range_rate[v, s] = 0.0
+    advance_clock(rules, draws.clock, receiver)
+    offset = receiver.offset - site.offset
+    spoof, reference, shift = moved.spoof_enu_m, site.reference, moved.reference_enu_m
+    x = (truth.position[0] + spoof[0]) + (reference[0] + shift[0])
+    y = (truth.position[1] + spoof[1]) + (reference[1] + shift[1])
+    h = (truth.position[2] + spoof[2]) + (reference[2] + shift[2])
+    for s in range(reception.shape[0]):
+        signal, out, effect = memory[s], signals[s], effects[s]
+        out.tracked = out.lock_lost = False
+        out.cn0 = out.range_rate = 0.0
         for b in range(BANDS):
-            out.code[v, s, b] = out.phase[v, s, b] = 0.0
-        if not sky.above[k, s]:
+            out.code[b] = out.phase[b] = 0.0
+            out.integer_error[b] = effect.integer_error[b]
+        for k in range(3):
+            out.e[k] = los[s, k]
+        if not above[s]:
             signal.code_s, signal.phase_s, signal.tracked.arrival = 0.0, 0.0, NOTHING
             continue
-        z, slow, uniform = receivers.normals[v, s], receivers.area[a, s], receivers.uniforms[v, s]
+        z, slow, uniform, c = draws.normals[s], slows[s], draws.uniforms[s], sky.system[s]
         advance(rules, decay, gain, z, signal)
-        e, n, u = sky.los[k, s, 0], sky.los[k, s, 1], sky.los[k, s, 2]
-        way = SignalGeometry((e, n, u), sky.elevation[k, s], antenna, velocity)
-        arrives, broken, late_rate, fade = by_paths(receivers, reception, v, s, way, sky.system[s], uniform)
-        clear_level = open_level(rules, u, effects.cn0_drop[v, s], signal.cn0)
+        e, n, u = los[s, 0], los[s, 1], los[s, 2]
+        way = SignalGeometry((e, n, u), antenna, velocity)
+        arrives, broken, late_rate, fade = by_paths(rules, reception[s], way, c, uniform, signal, work)
+        clear_level = open_level(rules, u, effect.cn0_drop_db, signal.cn0)
         level = clear_level + signal.tracked.fade
         received = arrives and level >= rules.track_min
         locked = received and not broken and sees_lock(rules, clear_level, z.lock, signal.tracked)
         for b in range(BANDS):
-            signal.ambiguity[b] += 2.0 * effects.slips[v, s, b]
+            signal.ambiguity[b] += 2.0 * effect.slip_cycles[b]
         has_code, has_phase, lost = follow(rules, clear_level + fade, received, locked, uniform, signal)
-        out.lock_lost[v, s] = lost
+        out.lock_lost = lost
         slant = 1.0 / u
         if rules.near.fitted:
-            root, normals = math.sqrt(0.5 * (1.0 + slant * slant)), receivers.near_normals[v, s]
-            late_rate += advance_near(rules.near, speed, root, normals, signal.near, work.code[v], work.carrier[v])
+            root = math.sqrt(0.5 * (1.0 + slant * slant))
+            late_rate += advance_near(rules.near, speed, root, draws.near[s], signal.near, work)
         if not has_code:
             continue
-        out.tracked[v, s], out.cn0[v, s] = True, level
+        out.tracked, out.cn0 = True, level
         power, clear = noise_power(slant, level)
         multipath = own_part(rules.code_multipath, rules.station_code_multipath, power, clear) * signal.code_multipath
-        code_error = multipath + effects.code_bias[v, s]
         common = common_delay(rules, slant, used_age, slow) - (e * x + n * y + u * h) + offset
-        fill_bands(
-            sky.system[s], has_phase,
-            _Path(common, code_error, effects.phase_bias[v, s], power, clear, work.code[v], work.carrier[v]),
-            rules, receiver, signal, z, slow, receivers.held[v, s], out.code[v, s], out.phase[v, s],
-        )  # fmt: skip
+        path = _Path(common, multipath + effect.code_bias_m, effect.phase_bias_m, power, clear)
+        fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, held[s], work, out)
         motion = e * vx + n * vy + u * vz
         rate_error = rules.rate_sigma * math.sqrt(power) * signal.rate
-        out.range_rate[v, s] = receiver.drift - motion + effects.rate_bias[v, s] + rate_error + late_rate
+        out.range_rate = receiver.drift - motion + effect.range_rate_bias_mps + rate_error + late_rate
 
 
-@jit(borrows=True)
-def observe(reception, receivers, sky, truth, effects, out):  # type: ignore[no-untyped-def]
-    """:func:`observe_vehicle` for B vehicles."""
-    for v in range(reception.path.shape[0]):
-        observe_vehicle(v, reception, receivers, sky, truth, effects, out)
+@jit
+def observe(  # type: ignore[no-untyped-def]
+    rules, sites, slows, held, receivers, memories, draws, sky, reception, truths, effects, moved, signals, vehicles
+):  # fmt: skip
+    """:func:`observe_vehicle` for B vehicles in A areas, A is 1 or B: a row for each, rules (1,)."""
+    work = np.zeros(1, WORK)
+    for v in range(vehicles.shape[0]):
+        a = v % sites.shape[0]
+        own = ReceiverDraws(draws.normals[v], draws.uniforms[v], draws.near[v], draws.clock[v])
+        observe_vehicle(
+            rules[0], sites[a], slows[a], held[v], receivers[v], memories[v], own, sky, reception[v], truths[v],
+            effects[v], moved[v], signals[v], vehicles[v], work[0],
+        )  # fmt: skip

@@ -23,7 +23,7 @@ from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import imu_kernel as kernel
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.sensors.gnss import motion_rows
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_VEHICLE
 
 __all__ = [
     "AxisNoise",
@@ -91,14 +91,15 @@ class ImuConfig(Config):
 
 @dataclass
 class ImuState:
-    """Errors that persist: axes (B, 2, 3) of AXIS with gyro first, the motion bias (B,) and the time since switch-on.
+    """What persists: ``sensors`` (B,) of INERTIAL, a record of :mod:`.imu_kernel`."""
 
-    AXIS is a record of :mod:`.imu_kernel`.
-    """
+    sensors: Records
 
-    axes: Records
-    moving_bias_radps: Array
-    on_s: Array
+    def advance(self, config: ImuConfig, dt_s: float) -> None:
+        """Set the warm-up error of the epoch that begins, and count its time."""
+        if config.mems_exponential:
+            self.sensors["warm_up"] = warm_up(config, self.sensors["on_s"], dt_s)
+        self.sensors["on_s"] += dt_s
 
     def copy(self) -> ImuState:
         """An independent copy."""
@@ -164,10 +165,11 @@ def initial_imu(config: ImuConfig, streams: Streams) -> ImuState:
     """Draw what is fixed at switch-on for each of ``streams.batch`` vehicles, from stream ``imu``."""
     z = streams.normal("imu", 3, 2, 3)
     u = streams.uniform("imu", 1)[:, 0]
-    axes = np.zeros((streams.batch, 2, 3), kernel.AXIS)
+    sensors = np.zeros(streams.batch, kernel.INERTIAL)
     for k, name in enumerate(("turn_on", "scale", "instability")):
-        axes[name] = z[:, k] * _pair(config, name)
-    return ImuState(axes, (2.0 * u - 1.0) * config.moving_gyro_bias_degps * DEG, np.zeros(streams.batch))
+        sensors["axes"][name] = z[:, k] * _pair(config, name)
+    sensors["moving_bias"] = (2.0 * u - 1.0) * config.moving_gyro_bias_degps * DEG
+    return ImuState(sensors)
 
 
 @lru_cache(maxsize=64)
@@ -208,17 +210,7 @@ def sample_imu(config: ImuConfig, state: ImuState, truth: Truth, effects: FaultE
     """
     if truth.batch != streams.batch:
         raise InputError(f"truth holds {truth.batch} vehicles, streams {streams.batch}: make both the same batch")
-    dt, out = truth.dt_s, blank_imu(truth.batch)
-    rows = kernel.ImuRows(
-        imu_parameters(config, dt), state.axes, state.moving_bias_radps, warm_up(config, state.on_s, dt),
-        streams.normal("imu", 2, 3, 5),
-    )  # fmt: skip
-    state.on_s += dt
-    kernel.measure(0, truth.batch, rows, motion_rows(truth), effects.gyro_bias_radps, out)
-    return ImuSample(*out)
-
-
-def blank_imu(batch: int) -> kernel.ImuOutputs:
-    """Increments to be filled."""
-    turn, delta_v = np.empty((2, batch, 3))
-    return kernel.ImuOutputs(turn, delta_v)
+    rules, out = imu_parameters(config, truth.dt_s), np.zeros(truth.batch, OBSERVED_VEHICLE)
+    state.advance(config, truth.dt_s)
+    kernel.measure_rows(rules, state.sensors, streams.normal("imu", 2, 3, 5), truth.records, effects.vehicles, out)
+    return ImuSample(out["turn"], out["delta_v"])

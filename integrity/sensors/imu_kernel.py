@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
-
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.records import record
 
-__all__ = ["AXIS", "IMU_RULES", "TRIAD", "ImuOutputs", "ImuRows", "measure"]
-
-Array = NDArray[np.float64]
+__all__ = ["AXIS", "IMU_RULES", "INERTIAL", "TRIAD", "measure", "measure_rows"]
 
 TRIAD = record(
     turn_on="of the turn-on bias and the random walk [s]",
@@ -43,29 +36,16 @@ AXIS = record(
 )
 """Errors of an axis in the unit u of its rate."""
 
-
-class ImuRows(NamedTuple):
-    """Inertial sensors of B vehicles.
-
-    rules (1,) of IMU_RULES; axes (B, 2, 3) of AXIS, gyro first; moving_bias (B,) [rad/s] of the yaw gyro in motion;
-    warm_up (B,) [m/s] on the accelerometers in this epoch; normals (B, 2, 3, 5), the draws of the epoch.
-    """
-
-    rules: Records
-    axes: Records
-    moving_bias: Array
-    warm_up: Array
-    normals: Array
+INERTIAL = record(
+    axes=(AXIS, (2, 3), "of the gyros and of the accelerometers"),
+    moving_bias="of the yaw gyro in motion [rad/s]",
+    on_s="time since switch-on [s]",
+    warm_up="on the accelerometers in this epoch [m/s]",
+)
+"""What lasts of the inertial sensors of a vehicle."""
 
 
-class ImuOutputs(NamedTuple):
-    """Increments turn, delta_v (B, 3), as in :class:`~lanebound.integrity.sensors.imu.ImuSample`."""
-
-    turn: Array
-    delta_v: Array
-
-
-@jit(borrows=True)
+@jit
 def measure_triad(triad, axes, z, truth, out):  # type: ignore[no-untyped-def]
     """Increments ``out`` (3,) of a triad by the draws z (3, 5); the axes (3,) advance in place."""
     for i in range(3):
@@ -79,16 +59,24 @@ def measure_triad(triad, axes, z, truth, out):  # type: ignore[no-untyped-def]
         out[i] = truth[i] * (1.0 + axis.scale) + error
 
 
-@jit(borrows=True)
-def measure(first, last, imu, motion, gyro_bias, out):  # type: ignore[no-untyped-def]
-    """Vehicles ``first`` to ``last - 1``; gyro_bias (B,) [rad/s] is a fault of the yaw gyro."""
-    rules = imu.rules[0]
-    for v in range(first, last):
-        turn, delta_v = out.turn[v], out.delta_v[v]
-        measure_triad(rules.gyro, imu.axes[v, 0], imu.normals[v, 0], motion.turn[v], turn)
-        measure_triad(rules.accel, imu.axes[v, 1], imu.normals[v, 1], motion.delta_v[v], delta_v)
-        turn[2] += gyro_bias[v] * rules.dt
-        if abs(motion.distance[v]) > rules.moving:
-            turn[2] += imu.moving_bias[v] * rules.dt
-        for i in range(3):
-            delta_v[i] += imu.warm_up[v]
+@jit
+def measure(rules, sensor, z, truth, gyro_bias, out):  # type: ignore[no-untyped-def]
+    """Measure a vehicle by the draws z (2, 3, 5): turn and delta_v of ``out`` (OBSERVED_VEHICLE); ``sensor`` (INERTIAL)
+    advances.
+
+    ``gyro_bias`` [rad/s] is a fault of the yaw gyro.
+    """
+    measure_triad(rules.gyro, sensor.axes[0], z[0], truth.turn, out.turn)
+    measure_triad(rules.accel, sensor.axes[1], z[1], truth.delta_v, out.delta_v)
+    out.turn[2] += gyro_bias * rules.dt
+    if abs(truth.distance) > rules.moving:
+        out.turn[2] += sensor.moving_bias * rules.dt
+    for i in range(3):
+        out.delta_v[i] += sensor.warm_up
+
+
+@jit
+def measure_rows(rules, sensors, z, truths, moved, out):  # type: ignore[no-untyped-def]
+    """:func:`measure` for B vehicles: rules (1,), z (B, 2, 3, 5), ``moved`` (B,) of VEHICLE_EFFECTS."""
+    for v in range(out.shape[0]):
+        measure(rules[0], sensors[v], z[v], truths[v], moved[v].gyro_bias_radps, out[v])

@@ -5,73 +5,54 @@ The link, the receiver, gyros and wheels each have a file of their own in :mod:`
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.lasting import LastingBundle
-from lanebound.integrity.core.records import Records
-from lanebound.integrity.core.streams import ZIGGURAT, Streams
+from lanebound.integrity.core.records import Records, one_record, packed
+from lanebound.integrity.core.streams import EVERY_PLACE, ZIGGURAT, Streams
 from lanebound.integrity.motion.truth import Truth
+from lanebound.integrity.sensors import instruments_kernel as kernel
 from lanebound.integrity.sensors.area import AreaState, advance_area
 from lanebound.integrity.sensors.augmentation import Corrections, corrections_of, receive_messages
 from lanebound.integrity.sensors.barometer import BarometerSample, BarometerState
 from lanebound.integrity.sensors.chassis import ChassisSample, ChassisState
 from lanebound.integrity.sensors.compass import CompassSample, CompassState
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, CorrectionsState, link_parameters
-from lanebound.integrity.sensors.corrections_kernel import LinkRows
+from lanebound.integrity.sensors.draws_kernel import Draws
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.gnss import (
     GnssConfig,
     GnssEpoch,
     GnssState,
-    blank_gnss,
-    blank_work,
-    effect_rows,
-    flat,
     gnss_epoch,
     gnss_parameters,
-    motion_rows,
-    near_draws,
     undifferenced,
 )
-from lanebound.integrity.sensors.gnss_kernel import NORMALS, UNIFORMS, Receivers
-from lanebound.integrity.sensors.imu import ImuConfig, ImuSample, ImuState, blank_imu, imu_parameters, warm_up
-from lanebound.integrity.sensors.imu_kernel import ImuRows
-from lanebound.integrity.sensors.instruments_kernel import (
-    Draws,
-    InstrumentRows,
-    SensedEpoch,
-    draw,
-    sense,
-)
-from lanebound.integrity.sensors.near_objects_kernel import NEAR
-from lanebound.integrity.sensors.odometer import (
-    OdometerConfig,
-    OdometerSample,
-    OdometerState,
-    blank_odometer,
-    odometer_parameters,
-)
-from lanebound.integrity.sensors.odometer_kernel import OdometerRows
+from lanebound.integrity.sensors.imu import ImuConfig, ImuSample, ImuState, imu_parameters
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL, OBSERVED_VEHICLE
+from lanebound.integrity.sensors.odometer import OdometerConfig, OdometerSample, OdometerState, odometer_parameters
 from lanebound.integrity.sky.geostationary import geostationary_view
 from lanebound.integrity.sky.view import SkyView
-from lanebound.integrity.sky.visibility import SignalPath, SkyMask, blank_reception
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
-__all__ = ["InstrumentState", "Instruments", "Measurements"]
+__all__ = ["InstrumentState", "Instruments", "Measurements", "observed"]
 
-NO_STATES = np.empty((0, 4), np.uint64)  # of streams that draw in a way of their own
+NO_GENERATORS = np.empty((len(kernel.DRAWN_STREAMS), 0, 4), np.uint64)  # of streams that draw in a way of their own
+NOT_DRAWN, NO_ERROR = np.empty((0, 0)), np.zeros(1, np.int64)
 LOWEST_SINE = 0.05  # of an elevation: lower satellites are not used
 SENSE_US = 6.0  # of one thread for a vehicle and epoch, measured
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """All that positioning may know of one epoch: the outputs of the instruments, and where the satellites are."""
+    """All that positioning may know of one epoch: the outputs of the instruments, and where the satellites are.
+
+    ``given`` holds the records (:func:`observed`) that the arrays are fields of, None where they are the user's own.
+    """
 
     time_s: float
     sky: SkyView
@@ -81,6 +62,35 @@ class Measurements:
     chassis: ChassisSample | None = None
     compass: CompassSample | None = None
     barometer: BarometerSample | None = None
+    given: tuple[Records, Records] | None = field(default=None, init=False, repr=False, compare=False)
+
+    def with_samples(self, **samples: Any) -> Self:
+        """The same with further samples, by the names of their fields."""
+        more = replace(self, **samples)
+        object.__setattr__(more, "given", self.given)
+        return more
+
+
+def observed(m: Measurements) -> tuple[Records, Records]:
+    """The measurements as kernels take them: (B, S) of OBSERVED_SIGNAL and (B,) of OBSERVED_VEHICLE.
+
+    Those of the instruments are returned without a copy; those built from arrays of the user's own, or with a part of
+    them replaced, are packed.
+    """
+    g, (given, vehicles) = m.gnss, m.given or (None, None)
+    signals = packed(
+        OBSERVED_SIGNAL, given, tracked=g.tracked, lock_lost=g.lock_lost, cn0=g.cn0_dbhz, range_rate=g.range_rate_mps,
+        code=g.code_m, phase=g.phase_m, integer_error=NO_ERROR if g.integer_error is None else g.integer_error,
+    )  # fmt: skip
+    vehicles = packed(
+        OBSERVED_VEHICLE, vehicles, age=g.corrections_age_s, turn=m.imu.delta_theta_rad, delta_v=m.imu.delta_v_mps,
+        speed=m.odometer.speed_mps, distance=m.odometer.distance_m,
+        next_best=NO_ERROR if g.next_best is None else g.next_best,
+    )  # fmt: skip
+    vehicles["sight"] = m.sky.index
+    if signals is not given:
+        signals["e"] = m.sky.los_enu[m.sky.index]
+    return signals, vehicles
 
 
 @dataclass
@@ -100,22 +110,16 @@ class InstrumentState:
     compass: CompassState | None
     barometer: BarometerState | None
 
-    def __post_init__(self) -> None:
-        self.sensing, self.locating = LastingBundle(), LastingBundle()
-
 
 @dataclass(frozen=True)
 class Instruments:
-    """The instruments of a vehicle, with their figures as the kernels take them, (1,) each."""
+    """The instruments of a vehicle, with their figures as the kernel takes them: rules (1,) of INSTRUMENT_RULES."""
 
     dt_s: float
     gnss: GnssConfig
     corrections: CorrectionsConfig
     imu: ImuConfig
-    link_rules: Records
-    gnss_rules: Records
-    imu_rules: Records
-    odometer_rules: Records
+    rules: Records
     place_rad: tuple[float, float, float]
 
     @classmethod
@@ -134,10 +138,13 @@ class Instruments:
             gnss=gnss,
             corrections=corrections,
             imu=imu,
-            link_rules=link_parameters(corrections, dt_s),
-            gnss_rules=gnss_parameters(gnss, dt_s),
-            imu_rules=imu_parameters(imu, dt_s),
-            odometer_rules=odometer_parameters(odometer, dt_s),
+            rules=one_record(
+                kernel.INSTRUMENT_RULES,
+                link=link_parameters(corrections, dt_s),
+                gnss=gnss_parameters(gnss, dt_s),
+                imu=imu_parameters(imu, dt_s),
+                odometer=odometer_parameters(odometer, dt_s),
+            ),
             place_rad=place_rad,
         )
 
@@ -149,31 +156,38 @@ class Instruments:
         The same as ``advance_area``, ``look`` of the mask, ``step`` of the link, ``observe``, ``sample_imu`` and
         ``sample_odometer`` one after another. All arrays are finite, of B rows and contiguous.
         """
-        batch = truth.batch
         advance_area(self.gnss, self.corrections, s.area, truth.time_s, self.dt_s)
-        owners = self, mask, s.streams, s.area, s.gnss, s.corrections, s.imu, s.odometer
-        bundle = s.sensing.of(owners, lambda: self._rows(s, mask))
-        rows: InstrumentRows = bundle.values
-        if self.imu.mems_exponential:
-            rows.imu.warm_up[:] = warm_up(self.imu, s.imu.on_s, self.dt_s)
-        s.imu.on_s += self.dt_s
-        gnss, imu, odometer = blank_gnss(batch, sky.satellites), blank_imu(batch), blank_odometer(batch)
-        epoch = SensedEpoch(
-            s.area.network.epoch, sky.rows, motion_rows(truth), effect_rows(effects), gnss, imu, odometer
+        s.imu.advance(self.imu, self.dt_s)
+        signals, vehicles = np.empty(s.gnss.signals.shape, OBSERVED_SIGNAL), np.empty(truth.batch, OBSERVED_VEHICLE)
+        vehicles["sight"] = sky.index
+        sensors = kernel.Sensors(
+            s.corrections.links, s.corrections.held, s.gnss.vehicles, s.gnss.signals, s.imu.sensors, s.odometer.wheels
         )
-        if not s.streams.draws_by_row:
-            self._draw(s.streams, rows)
-        elif rows.draws.gnss.shape[0] != batch:
-            draw(0, batch, bundle.handle)
-        run_rows(sense, batch, bundle.handle, epoch, row_us=SENSE_US)
-        signals = gnss_epoch(gnss, effects)
-        if s.area.broadcast is not None:
-            signals = undifferenced(
-                self.gnss, self.gnss_rules, signals, sky, s.corrections.held, effects, s.area.signals, s.area.broadcast
-            )
-            if s.area.providers is not None:
-                signals = replace(signals, corrections=self._corrections(s, sky, mask, truth))
-        return Measurements(truth.time_s, sky, signals, ImuSample(*imu), OdometerSample(*odometer))
+        run_rows(
+            kernel.sense, truth.batch, s.area.network.epoch, self.rules, s.area.rows, sensors,
+            self._draws(s.streams, truth.batch, sky.satellites), mask.rows, sky.rows, truth.records, effects.signals,
+            effects.vehicles, signals, vehicles, row_us=SENSE_US,
+        )  # fmt: skip
+        m = Measurements(
+            truth.time_s, sky, self._receiver(s, sky, mask, truth, effects, gnss_epoch(signals, vehicles)),
+            ImuSample(vehicles["turn"], vehicles["delta_v"]), OdometerSample(vehicles["distance"], vehicles["speed"]),
+        )  # fmt: skip
+        object.__setattr__(m, "given", (signals, vehicles))
+        return m
+
+    def _receiver(
+        self, s: InstrumentState, sky: SkyView, mask: SkyMask, truth: Truth, effects: FaultEffects, epoch: GnssEpoch
+    ) -> GnssEpoch:
+        """The output of the receiver with the undifferenced observables and the corrections that it has."""
+        if s.area.broadcast is None:
+            return epoch
+        rules = self.rules["gnss"]
+        epoch = undifferenced(
+            self.gnss, rules, epoch, sky, s.corrections.held, effects, s.area.signals, s.area.broadcast
+        )
+        if s.area.providers is None:
+            return epoch
+        return replace(epoch, corrections=self._corrections(s, sky, mask, truth))
 
     def _corrections(self, s: InstrumentState, sky: SkyView, mask: SkyMask, truth: Truth) -> dict[str, Corrections]:
         """What vehicles hold of the providers of services after the messages of this epoch."""
@@ -190,58 +204,28 @@ class Instruments:
         epoch = s.area.network.own_epoch
         return {name: corrections_of(config, name, held, epoch, seen, now, self.dt_s) for name in config.providers}
 
-    def _draw(self, streams: Streams, rows: InstrumentRows) -> None:
-        """The draws of an epoch from streams that draw in a way of their own."""
-        draws, (batch, satellites) = rows.draws, rows.receivers.signals.shape
-        if self.corrections.outage_per_h > 0.0:
-            rows.link.uniforms[:], rows.link.normals[:] = (
-                streams.uniform("corrections", 1),
-                streams.normal("corrections", 1),
-            )
-        rows.receivers.clock_normals[:] = streams.normal("clock", 2)
-        draws.gnss_normals[:] = streams.normal("gnss", satellites, NORMALS.itemsize // 8).reshape(batch, -1)
-        draws.gnss_uniforms[:] = streams.uniform("gnss", satellites, UNIFORMS.itemsize // 8).reshape(batch, -1)
+    def _draws(self, streams: Streams, batch: int, satellites: int) -> Draws:
+        """The generators of an epoch, one for each vehicle, or the draws of all."""
+        generators = streams.together(kernel.DRAWN_STREAMS) if streams.draws_by_row else NO_GENERATORS
+        if generators.shape[1] == batch:
+            return Draws(generators, ZIGGURAT, streams.places, NOT_DRAWN)
+        draws = Draws(generators, ZIGGURAT, EVERY_PLACE, np.empty((batch, kernel.draw_width(satellites))))
+        if streams.draws_by_row:
+            kernel.draw_jointly(self.rules, draws, satellites)
+        else:
+            self._draw(streams, draws.drawn, satellites)
+        return draws
+
+    def _draw(self, streams: Streams, drawn: NDArray[np.float64], satellites: int) -> None:
+        """Fill the draws (B, W) from streams that draw in a way of their own."""
+        width, batch = kernel.OF_SATELLITE, len(drawn)
+        normals, uniforms, near, rest = np.split(drawn, satellites * np.cumsum(width), axis=1)
+        own = rest.view(kernel.VEHICLE_DRAWS)[:, 0]
+        normals[:] = streams.normal("gnss", satellites, width[0]).reshape(batch, -1)
+        uniforms[:] = streams.uniform("gnss", satellites, width[1]).reshape(batch, -1)
         if self.gnss.near_objects.fitted:
-            rows.receivers.near_normals[:] = near_draws(streams, satellites)
-        rows.imu.normals[:] = streams.normal("imu", 2, 3, 5)
-        rows.odometer.normals[:] = streams.normal("odometer", 1)
-
-    def _rows(self, s: InstrumentState, mask: SkyMask) -> InstrumentRows:
-        """The states as the kernel takes them."""
-        batch, satellites = s.gnss.signals.shape
-        normals, uniforms, near = (np.zeros((batch, satellites), kind) for kind in (NORMALS, UNIFORMS, NEAR))
-        imu_normals, signals, states = np.empty((batch, 2, 3, 5)), s.area.signals, _states_of(s.streams)
-        uniform, normal = np.empty((2, batch, 1))
-        return InstrumentRows(
-            draws=Draws(
-                table=ZIGGURAT,
-                places=s.streams.places,
-                gnss=states("gnss"),
-                clock=states("clock"),
-                corrections=states("corrections") if self.corrections.outage_per_h > 0.0 else NO_STATES,
-                imu=states("imu"),
-                odometer=states("odometer"),
-                near_objects=states("near_objects") if self.gnss.near_objects.fitted else NO_STATES,
-                gnss_normals=flat(normals),
-                gnss_uniforms=flat(uniforms),
-                near_normals=flat(near),
-                imu_normals=imu_normals.reshape(batch, -1),
-            ),
-            mask=mask.rows,
-            reception=blank_reception(batch, satellites, mask.faces),
-            link=LinkRows(
-                self.link_rules, s.area.network.rows, signals.message, s.corrections.links, s.corrections.held, uniform,
-                normal,
-            ),
-            receivers=Receivers(
-                self.gnss_rules, s.gnss.signals, s.gnss.vehicles, normals, uniforms, np.empty((batch, 2)), near,
-                s.corrections.held, signals.memory, signals.clock, signals.reference_enu_m, blank_work(batch),
-            ),
-            imu=ImuRows(self.imu_rules, s.imu.axes, s.imu.moving_bias_radps, np.zeros(batch), imu_normals),
-            odometer=OdometerRows(self.odometer_rules, s.odometer.wheels, np.empty((batch, 1))),
-        )  # fmt: skip
-
-
-def _states_of(streams: Streams) -> Callable[[str], NDArray[np.uint64]]:
-    """The generators by name that the kernel draws from; none of streams that draw in a way of their own."""
-    return streams.states if streams.draws_by_row else lambda name: NO_STATES
+            near[:] = streams.normal("near_objects", satellites, width[2]).reshape(batch, -1)
+        own["clock"], own["imu"] = streams.normal("clock", 2), streams.normal("imu", 2, 3, 5)
+        own["odometer"] = streams.normal("odometer")
+        if self.corrections.outage_per_h > 0.0:
+            own["outage"], own["outage_length"] = streams.uniform("corrections"), streams.normal("corrections")

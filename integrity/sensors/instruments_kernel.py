@@ -5,113 +5,147 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.bundle_kernel import unbundle
-from lanebound.integrity.sensors import corrections_kernel as link_kernel
+from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.streams_kernel import fill, uniform
 from lanebound.integrity.sensors import imu_kernel, odometer_kernel
-from lanebound.integrity.sensors.corrections_kernel import LinkRows
-from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_normals_at, draw_uniforms, draw_uniforms_at
-from lanebound.integrity.sensors.gnss_kernel import (
-    EffectRows,
-    GnssOutputs,
-    MotionRows,
-    Receivers,
-    observe_vehicle,
+from lanebound.integrity.sensors.arrival_kernel import WORK
+from lanebound.integrity.sensors.corrections_kernel import LINK_RULES, receive
+from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_uniforms
+from lanebound.integrity.sensors.gnss_kernel import GNSS_RULES, NORMALS, UNIFORMS, ReceiverDraws, observe_vehicle
+from lanebound.integrity.sensors.imu_kernel import IMU_RULES
+from lanebound.integrity.sensors.near_objects_kernel import NEAR
+from lanebound.integrity.sensors.odometer_kernel import ODOMETER_RULES
+from lanebound.integrity.sky.raytrace_kernel import RECEPTION, find_cells, look_up
+
+__all__ = ["DRAWN_STREAMS", "INSTRUMENT_RULES", "VEHICLE_DRAWS", "Sensors", "draw_jointly", "draw_width", "sense"]
+
+DRAWN_STREAMS = ("gnss", "near_objects", "clock", "imu", "odometer", "corrections")
+GNSS, NEAR_OBJECTS, CLOCK, IMU, ODOMETER, CORRECTIONS = range(6)  # of them
+
+INSTRUMENT_RULES = record(
+    link=(LINK_RULES, "the reference link"),
+    gnss=(GNSS_RULES, "the receiver"),
+    imu=(IMU_RULES, "the inertial sensors"),
+    odometer=(ODOMETER_RULES, "the odometer"),
 )
-from lanebound.integrity.sensors.imu_kernel import ImuOutputs, ImuRows
-from lanebound.integrity.sensors.odometer_kernel import OdometerOutputs, OdometerRows
-from lanebound.integrity.sky.raytrace_kernel import MaskRows, ReceptionRows, SatelliteRows, look_up
 
-__all__ = ["Draws", "InstrumentRows", "SensedEpoch", "draw", "sense"]
+VEHICLE_DRAWS = record(
+    clock=("f8", (2,), "of the receiver, standard normal [-]"),
+    imu=("f8", (2, 3, 5), "by triad and axis, standard normal [-]"),
+    odometer="standard normal [-]",
+    outage="whether an outage begins, uniform [-]",
+    outage_length="standard normal [-]",
+)
+"""Draws of a vehicle and epoch beside those for its satellites."""
+OF_SATELLITE = (NORMALS.itemsize // 8, UNIFORMS.itemsize // 8, NEAR.itemsize // 8)
+OF_VEHICLE = VEHICLE_DRAWS.itemsize // 8
 
-Array = NDArray[np.float64]
-Words = NDArray[np.uint64]
 
+class Sensors(NamedTuple):
+    """What lasts in the instruments of B vehicles.
 
-class Draws(NamedTuple):
-    """Generators of B vehicles (B, 4), or one for all (1, 4), and the draws of the receiver as flat arrays.
-
-    table of :func:`~lanebound.integrity.core.streams_kernel.fill`; places (B, S) of the satellites to draw for, (0, 0)
-    for all; gnss_normals (B, 10 S), gnss_uniforms (B, 2 S), near_normals (B, 4 S), imu_normals (B, 30): the same memory
-    as the draws of the receivers and of the inertial sensors.
+    links (B,) of LINK; held (B, S) of STATION; receivers (B,) of RECEIVER; signals (B, S) of SIGNAL; inertial (B,) of
+    INERTIAL; wheels (B,) of WHEELS.
     """
 
-    table: Array
-    places: NDArray[np.bool_]
-    gnss: Words
-    clock: Words
-    corrections: Words
-    imu: Words
-    odometer: Words
-    near_objects: Words
-    gnss_normals: Array
-    gnss_uniforms: Array
-    near_normals: Array
-    imu_normals: Array
+    links: Records
+    held: Records
+    receivers: Records
+    signals: Records
+    inertial: Records
+    wheels: Records
 
 
-class InstrumentRows(NamedTuple):
-    """What lasts of the instruments of B vehicles from epoch to epoch, with their parameters."""
-
-    draws: Draws
-    mask: MaskRows
-    reception: ReceptionRows
-    link: LinkRows
-    receivers: Receivers
-    imu: ImuRows
-    odometer: OdometerRows
+@jit
+def draw_width(satellites):  # type: ignore[no-untyped-def]
+    """Numbers that a vehicle draws in an epoch for S satellites and for itself."""
+    return sum(OF_SATELLITE) * satellites + OF_VEHICLE
 
 
-class SensedEpoch(NamedTuple):
-    """One epoch: its number on the clock of the areas, what is measured, and the outputs."""
-
-    number: int
-    sky: SatelliteRows
-    motion: MotionRows
-    effects: EffectRows
-    gnss: GnssOutputs
-    imu: ImuOutputs
-    odometer: OdometerOutputs
+@jit
+def split(row, satellites):  # type: ignore[no-untyped-def]
+    """The draws of a vehicle, (W,): those of NORMALS, UNIFORMS and NEAR for S satellites, and of VEHICLE_DRAWS."""
+    a = OF_SATELLITE[0] * satellites
+    b = a + OF_SATELLITE[1] * satellites
+    c = b + OF_SATELLITE[2] * satellites
+    return row[:a], row[a:b], row[b:c], row[c:]
 
 
-@jit(borrows=True)
-def draw_rows(first, last, rows):  # type: ignore[no-untyped-def]
-    """The draws of an epoch for vehicles ``first`` to ``last - 1``, of each stream in its order."""
-    draws, link = rows.draws, rows.link
-    if link.rules[0].outages:
-        draw_uniforms(first, last, draws.corrections, link.uniforms)
-        draw_normals(first, last, draws.corrections, draws.table, link.normals)
-    draw_normals(first, last, draws.clock, draws.table, rows.receivers.clock_normals)
-    draw_normals_at(first, last, draws.gnss, draws.places, draws.table, draws.gnss_normals)
-    draw_uniforms_at(first, last, draws.gnss, draws.places, draws.gnss_uniforms)
-    if rows.receivers.rules[0].near.fitted:
-        draw_normals_at(first, last, draws.near_objects, draws.places, draws.table, draws.near_normals)
-    draw_normals(first, last, draws.imu, draws.table, draws.imu_normals)
-    draw_normals(first, last, draws.odometer, draws.table, rows.odometer.normals)
+@jit
+def draw_first(g, rules, draws, row, satellites):  # type: ignore[no-untyped-def]
+    """The first draws from the streams that a vehicle draws from twice, by the generators ``g``."""
+    normals, _, _, own = split(row, satellites)
+    draw_normals(draws.generators[GNSS, g], g, draws.places, draws.table, normals)
+    if rules.link.outages:
+        own[33] = uniform(draws.generators[CORRECTIONS, g])
 
 
-@jit(borrows=True)
-def draw(first, last, handle):  # type: ignore[no-untyped-def]
-    """:func:`draw_rows` of a bundle of InstrumentRows."""
-    draw_rows(first, last, unbundle(handle))
+@jit
+def draw_rest(g, rules, draws, row, satellites):  # type: ignore[no-untyped-def]
+    """All further draws."""
+    generators, table = draws.generators, draws.table
+    _, uniforms, near, own = split(row, satellites)
+    draw_uniforms(generators[GNSS, g], g, draws.places, uniforms)
+    if rules.gnss.near.fitted:
+        draw_normals(generators[NEAR_OBJECTS, g], g, draws.places, table, near)
+    fill(generators[CLOCK, g], table, own[:2])
+    fill(generators[IMU, g], table, own[2:32])
+    fill(generators[ODOMETER, g], table, own[32:33])
+    if rules.link.outages:
+        fill(generators[CORRECTIONS, g], table, own[34:])
 
 
-@jit(borrows=True)
-def sense(first, last, handle, epoch):  # type: ignore[no-untyped-def]
-    """Measure vehicles ``first`` to ``last - 1``; ``handle`` of a bundle of InstrumentRows, whose states advance.
+@jit
+def draw_jointly(rules, draws, satellites):  # type: ignore[no-untyped-def]
+    """The draws of all vehicles, ``draws.drawn`` (B, W), from one generator of each stream: rules (1,)."""
+    for v in range(draws.drawn.shape[0]):
+        draw_first(0, rules[0], draws, draws.drawn[v], satellites)
+    for v in range(draws.drawn.shape[0]):
+        draw_rest(0, rules[0], draws, draws.drawn[v], satellites)
 
-    Vehicles with one generator for all have drawn before.
+
+@jit
+def sense(  # type: ignore[no-untyped-def]
+    first, last, epoch, rules, areas, sensors, draws, mask, sky, truths, effects, moved, signals, vehicles
+):  # fmt: skip
+    """Measure vehicles ``first`` to ``last - 1`` of B, whose sensors advance.
+
+    Parameters
+    ----------
+    epoch : its number on the clock of the areas
+    rules, areas, sensors : (1,) of INSTRUMENT_RULES; Areas, A is 1 or B; Sensors
+    draws : Draws of DRAWN_STREAMS; vehicles with one generator for all have drawn before
+    mask, sky : MaskRows and SatelliteRows
+    truths, effects, moved : (B,) of TRUTH, (B, S) of SIGNAL_EFFECTS and (B,) of VEHICLE_EFFECTS
+    signals, vehicles : (B, S) of OBSERVED_SIGNAL and (B,) of OBSERVED_VEHICLE, filled but for its sight, which is read
     """
-    rows, sky, motion, effects = unbundle(handle), epoch.sky, epoch.motion, epoch.effects
-    if rows.draws.gnss.shape[0] == rows.receivers.vehicles.shape[0]:
-        draw_rows(first, last, rows)
-    look_up(first, last, rows.mask, sky, motion.arc, motion.lane, rows.reception)
-    link_kernel.advance(first, last, epoch.number, rows.link, effects.lost, epoch.gnss.age)
+    par, satellites, latest = rules[0], signals.shape[1], -1
+    cells, reception = np.empty(satellites, np.int64), np.empty(satellites, RECEPTION)
+    row, work = np.empty(draw_width(satellites)), np.zeros(1, WORK)
     for v in range(first, last):
-        observe_vehicle(v, rows.reception, rows.receivers, sky, motion, effects, epoch.gnss)
-    imu_kernel.measure(first, last, rows.imu, motion, effects.gyro_bias, epoch.imu)
-    odometer_kernel.measure(
-        first, last, rows.odometer, motion.distance, effects.odometer_scale, effects.odometer_frozen, epoch.odometer
-    )
+        a, k, truth, out = v % areas.sites.shape[0], vehicles[v].sight, truths[v], vehicles[v]
+        if draws.drawn.shape[0] > 0:
+            row = draws.drawn[v]
+        else:
+            draw_first(v, par, draws, row, satellites)
+            draw_rest(v, par, draws, row, satellites)
+        normals, uniforms, near, own = split(row, satellites)
+        z = own.view(VEHICLE_DRAWS)[0]
+        if k != latest:
+            find_cells(mask.rules[0], sky.azimuth[k], sky.elevation[k], cells)
+            latest = k
+        look_up(mask, cells, truth.arc, truth.lane, reception)
+        out.age = receive(
+            epoch, par.link, areas.networks[a], areas.message[a], z.outage, z.outage_length, moved[v].corrections_lost,
+            sensors.links[v], sensors.held[v],
+        )  # fmt: skip
+        observe_vehicle(
+            par.gnss, areas.sites[a], areas.slow[a], sensors.held[v], sensors.receivers[v], sensors.signals[v],
+            ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), sky,
+            reception, truth, effects[v], moved[v], signals[v], out, work[0],
+        )  # fmt: skip
+        imu_kernel.measure(par.imu, sensors.inertial[v], z.imu, truth, moved[v].gyro_bias_radps, out)
+        odometer_kernel.measure(par.odometer, sensors.wheels[v], z.odometer, truth.distance, moved[v], out)
+        out.next_best[0], out.next_best[1] = moved[v].next_best[0], moved[v].next_best[1]

@@ -47,6 +47,7 @@ ARRIVAL = record(
     excess_m="extra path L [m]",
     rate_mps="dL/dt [m/s]",
     before_m="L at the last epoch; of a new arrival L [m]",
+    source="what it is: a value of arrival_kernel.TRACKED.arrival",
 )
 TWO_PI = 2.0 * math.pi
 MOST_ARRIVALS = 3  # the direct or diffracted ray, and two reflections

@@ -37,9 +37,9 @@ NEAR = record(
 """The processes of unit variance of a satellite's signals at a vehicle; also their standard normal draws."""
 
 
-@jit(borrows=True)
-def advance_near(rules, speed, root, z, near, code, carrier):  # type: ignore[no-untyped-def]
-    """Advance ``near`` by the draws z (both NEAR), and add its errors to code and carrier (NEAR_BANDS,) [m].
+@jit
+def advance_near(rules, speed, root, z, near, work):  # type: ignore[no-untyped-def]
+    """Advance ``near`` by the draws z (both NEAR), and add its errors to ``work`` (WORK).
 
     ``root`` is the factor of the elevation, ``speed`` is in m/s. Returns the error of the range rate [m/s].
     """
@@ -51,6 +51,6 @@ def advance_near(rules, speed, root, z, near, code, carrier):  # type: ignore[no
     for b in range(NEAR_BANDS):
         near.code[b] = of_code * near.code[b] + new_code * z.code[b]
         near.phase[b] = of_phase * near.phase[b] + new_phase * z.phase[b]
-        code[b] += sizes[0] * near.code[b]
-        carrier[b] += sizes[1] * near.phase[b]
+        work.code[b] += sizes[0] * near.code[b]
+        work.carrier[b] += sizes[1] * near.phase[b]
     return sizes[1] * (near.phase[0] - before) / rules.dt

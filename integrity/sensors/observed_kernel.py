@@ -8,6 +8,7 @@ from lanebound.integrity.sensors.arrival_kernel import BANDS
 __all__ = ["OBSERVED_SIGNAL", "OBSERVED_VEHICLE"]
 
 OBSERVED_SIGNAL = record(
+    e=("f8", (3,), "unit vector to the satellite, East North Up"),
     tracked=("?", "the code is tracked"),
     lock_lost=("?", "the receiver detected a loss of carrier lock since the previous epoch"),
     cn0="carrier-to-noise density [dB-Hz]",
@@ -25,6 +26,6 @@ OBSERVED_VEHICLE = record(
     delta_v=("f8", (3,), "integrated specific force [m/s]"),
     speed="odometer, signed [m/s]",
     distance="odometer [m]",
-    next_best=("f8", (2,), "of a fault: rank of the wrong integers that are accepted, 0 for none; azimuth of their error"),
+    next_best=("f8", (2,), "of a fault: rank of the wrong integers accepted, 0 for none; their azimuth [rad]"),
 )
 """The rest of an epoch, (B,)."""

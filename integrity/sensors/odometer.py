@@ -17,6 +17,7 @@ from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import odometer_kernel as kernel
 from lanebound.integrity.sensors.effects import FaultEffects
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_VEHICLE
 
 __all__ = ["OdometerConfig", "OdometerSample", "OdometerState", "initial_odometer", "sample_odometer"]
 
@@ -111,13 +112,7 @@ def sample_odometer(
     """
     if truth.batch != streams.batch:
         raise InputError(f"truth holds {truth.batch} vehicles, streams {streams.batch}: make both the same batch")
-    rows = kernel.OdometerRows(odometer_parameters(config, truth.dt_s), state.wheels, streams.normal("odometer", 1))
-    out, e = blank_odometer(truth.batch), effects
-    kernel.measure(0, truth.batch, rows, truth.distance_m, e.odometer_scale, e.odometer_frozen, out)
-    return OdometerSample(*out)
-
-
-def blank_odometer(batch: int) -> kernel.OdometerOutputs:
-    """Messages to be filled."""
-    distance, speed = np.empty((2, batch))
-    return kernel.OdometerOutputs(distance, speed)
+    rules, out = odometer_parameters(config, truth.dt_s), np.zeros(truth.batch, OBSERVED_VEHICLE)
+    z = streams.normal("odometer", 1)
+    kernel.measure_rows(rules, state.wheels, z, truth.records, effects.vehicles, out)
+    return OdometerSample(out["distance"], out["speed"])

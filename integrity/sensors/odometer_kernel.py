@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.records import record
 
-__all__ = ["ODOMETER_RULES", "WHEELS", "OdometerOutputs", "OdometerRows", "measure"]
-
-Array = NDArray[np.float64]
+__all__ = ["ODOMETER_RULES", "WHEELS", "measure", "measure_rows"]
 
 ODOMETER_RULES = record(
     dt="length of an epoch [s]",
@@ -34,22 +28,7 @@ WHEELS = record(
 """What lasts of an odometer from epoch to epoch."""
 
 
-class OdometerRows(NamedTuple):
-    """Odometers of B vehicles: rules (1,) of ODOMETER_RULES, wheels (B,) of WHEELS, normals (B, 1) of the epoch."""
-
-    rules: Records
-    wheels: Records
-    normals: Array
-
-
-class OdometerOutputs(NamedTuple):
-    """distance, speed (B,), as in :class:`~lanebound.integrity.sensors.odometer.OdometerSample`."""
-
-    distance: Array
-    speed: Array
-
-
-@jit(borrows=True)
+@jit
 def roll(rules, wheels, fault_scale, distance_m):  # type: ignore[no-untyped-def]
     """Distance counted in whole pulses [m]; what is left over is carried to the next epoch."""
     speed, before = distance_m / rules.dt, wheels.last_true_mps
@@ -65,16 +44,23 @@ def roll(rules, wheels, fault_scale, distance_m):  # type: ignore[no-untyped-def
     return counted
 
 
-@jit(borrows=True)
-def measure(first, last, odometer, truth_m, fault_scale, frozen, out):  # type: ignore[no-untyped-def]
-    """Vehicles ``first`` to ``last - 1``: true distances, factor and freezing by faults (B,); frozen ones repeat."""
-    rules = odometer.rules[0]
-    for v in range(first, last):
-        wheels = odometer.wheels[v]
-        wheels.noise_mps = rules.decay * wheels.noise_mps + rules.innovation * odometer.normals[v, 0]
-        counted = roll(rules, wheels, fault_scale[v], truth_m[v])
-        wheels.last_true_mps = truth_m[v] / rules.dt
-        if not frozen[v]:
-            wheels.last_distance_m = counted
-        out.distance[v] = wheels.last_distance_m
-        out.speed[v] = out.distance[v] / rules.dt
+@jit
+def measure(rules, wheels, z, truth_m, moved, out):  # type: ignore[no-untyped-def]
+    """Measure a vehicle by the draw z: distance and speed of ``out`` (OBSERVED_VEHICLE); ``wheels`` (WHEELS) advance.
+
+    ``moved`` (VEHICLE_EFFECTS) has the factor and the freezing by faults; a frozen odometer repeats its last message.
+    """
+    wheels.noise_mps = rules.decay * wheels.noise_mps + rules.innovation * z
+    counted = roll(rules, wheels, moved.odometer_scale, truth_m)
+    wheels.last_true_mps = truth_m / rules.dt
+    if not moved.odometer_frozen:
+        wheels.last_distance_m = counted
+    out.distance = wheels.last_distance_m
+    out.speed = out.distance / rules.dt
+
+
+@jit
+def measure_rows(rules, wheels, z, truths, moved, out):  # type: ignore[no-untyped-def]
+    """:func:`measure` for B vehicles: rules (1,), z (B, 1)."""
+    for v in range(out.shape[0]):
+        measure(rules[0], wheels[v], z[v, 0], truths[v].distance, moved[v], out[v])

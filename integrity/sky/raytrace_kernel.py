@@ -21,15 +21,17 @@ __all__ = [
     "EDGE_LINE",
     "FACE",
     "MASK_RULES",
+    "RECEPTION",
     "STRONGEST",
     "Grid",
     "MaskRows",
-    "ReceptionRows",
     "SatelliteRows",
     "count_free",
     "edge_rows",
+    "find_cells",
     "free_rows",
     "look_up",
+    "look_up_rows",
     "mask_rows",
     "side_corners",
     "trace",
@@ -68,6 +70,16 @@ EDGE_LINE = record(
 STRONGEST = 2  # reflections of a cell that are kept
 SIDES = 3  # of a triangle
 
+RECEPTION = record(
+    path=("u1", "value of visibility.SignalPath"),
+    excess="extra path of the strongest reflection, 0 for none [m]",
+    face=("i4", (STRONGEST,), "indices of the faces that reflect, -1 for none"),
+    edge=("i4", "index of the upper edge of the highest obstacle in the satellite's azimuth, -1 for none"),
+    planes=(FACE, (STRONGEST,), "of the faces"),
+    line=(EDGE_LINE, "of the edge"),
+)
+"""How the signal of a satellite arrives."""
+
 
 class MaskRows(NamedTuple):
     """A :class:`~lanebound.integrity.sky.visibility.SkyMask`.
@@ -89,7 +101,7 @@ class MaskRows(NamedTuple):
 class SatelliteRows(NamedTuple):
     """Satellites of an epoch, as in :class:`~lanebound.integrity.sky.view.SkyView`.
 
-    los (K, S, 3); elevation, azimuth (K, S) [rad]; above (K, S); system (S,); row (B,) the k of each vehicle.
+    los (K, S, 3); elevation, azimuth (K, S) [rad]; above (K, S); system (S,).
     """
 
     los: NDArray[np.float64]
@@ -97,23 +109,6 @@ class SatelliteRows(NamedTuple):
     azimuth: NDArray[np.float64]
     above: NDArray[np.bool_]
     system: NDArray[np.int64]
-    row: NDArray[np.int64]
-
-
-class ReceptionRows(NamedTuple):
-    """How signals arrive: path (B, S) of visibility.SignalPath, excess (B, S) [m]; cells (B, S) is work.
-
-    face (B, S, 2) indices of reflecting ``faces`` (F,) of FACE, -1 for none; edge (B, S) index of ``edges`` (E,) of
-    EDGE_LINE: the upper edge of the highest obstacle in the satellite's azimuth, -1 for none.
-    """
-
-    path: NDArray[np.uint8]
-    excess: NDArray[np.float64]
-    cells: NDArray[np.int64]
-    face: NDArray[np.int32]
-    edge: NDArray[np.int32]
-    faces: Records
-    edges: Records
 
 
 class Grid(NamedTuple):
@@ -410,46 +405,46 @@ def count_free(free, arc, lane, azimuth, elevation, above, spacing, n_az, n_el):
     return count
 
 
-@jit(borrows=True)
-def look_up(first, last, mask, sky, arc, lane, out):  # type: ignore[no-untyped-def]
-    """Reception of vehicles ``first`` to ``last - 1``: nearest station, lane clamped, cell of each satellite.
-
-    mask of MaskRows, sky of SatelliteRows; arc (B,) [m], lane (B,); ``out`` of ReceptionRows is filled.
-    """
-    rules, cells = mask.rules[0], out.cells[first]
-    stations, lanes = mask.path.shape[0], mask.path.shape[1]
-    for b in range(first, last):
-        place = arc[b] / rules.spacing
-        if rules.closed:
-            place -= math.floor(arc[b] / rules.length) * (rules.length / rules.spacing)
-            n = int(place + 0.5) % stations
-        else:
-            n = int(min(max(place, 0.0), stations - 1.0) + 0.5)
-        row = min(max(lane[b], 0), lanes - 1)
-        k = sky.row[b]
-        if b == first or k != sky.row[b - 1]:
-            for s in range(cells.shape[0]):
-                cells[s] = bin_of(sky.azimuth[k, s], sky.elevation[k, s], rules.azimuths, rules.elevations)
-        for s in range(cells.shape[0]):
-            c = cells[s]
-            if c < 0:
-                out.path[b, s] = BLOCKED
-                out.excess[b, s] = 0.0
-            else:
-                out.path[b, s] = mask.path[n, row, c]
-                out.excess[b, s] = mask.excess[n, row, c]
-        if mask.face.shape[0] > 0:
-            _look_up_faces(mask, n, row, cells, rules.elevations, out.face[b], out.edge[b])
+@jit
+def find_cells(rules, azimuth, elevation, cells):  # type: ignore[no-untyped-def]
+    """Fill the cell of each satellite (S,) of a mask with ``rules`` (MASK_RULES), -1 below the horizon."""
+    for s in range(cells.shape[0]):
+        cells[s] = bin_of(azimuth[s], elevation[s], rules.azimuths, rules.elevations)
 
 
 @jit
-def _look_up_faces(mask, n, row, cells, elevations, face, edge):  # type: ignore[no-untyped-def]
-    """Faces that reflect and edges that diffract at station n and lane ``row``, for the cells of the satellites."""
+def look_up(mask, cells, arc, lane, out):  # type: ignore[no-untyped-def]
+    """Reception ``out`` (S,) of RECEPTION in the cells (S,) of a mask (MaskRows): nearest station, lane clamped."""
+    rules, stations = mask.rules[0], mask.path.shape[0]
+    place = arc / rules.spacing
+    if rules.closed:
+        place -= math.floor(arc / rules.length) * (rules.length / rules.spacing)
+        n = int(place + 0.5) % stations
+    else:
+        n = int(min(max(place, 0.0), stations - 1.0) + 0.5)
+    row = min(max(lane, 0), mask.path.shape[1] - 1)
     for s in range(cells.shape[0]):
-        c = cells[s]
-        if c < 0:
-            face[s] = -1
-            edge[s] = -1
-        else:
-            face[s, 0], face[s, 1] = mask.face[n, row, c, 0], mask.face[n, row, c, 1]
-            edge[s] = mask.edge[n, row, c // elevations]
+        c, signal = cells[s], out[s]
+        signal.path, signal.excess = (mask.path[n, row, c], mask.excess[n, row, c]) if c >= 0 else (BLOCKED, 0.0)
+        signal.face[0] = signal.face[1] = signal.edge = -1
+        if c < 0 or mask.face.shape[0] == 0:
+            continue
+        for k in range(STRONGEST):
+            face = mask.face[n, row, c, k]
+            signal.face[k] = face
+            if face >= 0:
+                signal.planes[k] = mask.faces[face]
+        edge = mask.edge[n, row, c // rules.elevations]
+        signal.edge = edge
+        if edge >= 0:
+            signal.line = mask.edges[edge]
+
+
+@jit
+def look_up_rows(mask, sky, sight, arc, lane, out):  # type: ignore[no-untyped-def]
+    """:func:`look_up` for B vehicles: sky of SatelliteRows, sight (B,) row of each in it; out (B, S) of RECEPTION."""
+    cells = np.empty(out.shape[1], np.int64)
+    for b in range(out.shape[0]):
+        k = sight[b]
+        find_cells(mask.rules[0], sky.azimuth[k], sky.elevation[k], cells)
+        look_up(mask, cells, arc[b], lane[b], out[b])

@@ -55,4 +55,4 @@ class SkyView:
     @property
     def rows(self) -> SatelliteRows:
         """The arrays as kernels take them."""
-        return SatelliteRows(self.los_enu, self.elevation_rad, self.azimuth_rad, self.above, self.system, self.index)
+        return SatelliteRows(self.los_enu, self.elevation_rad, self.azimuth_rad, self.above, self.system)

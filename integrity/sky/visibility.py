@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
+from typing import Self
 from zipfile import BadZipFile
 
 import numpy as np
@@ -19,18 +20,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
-from lanebound.integrity.core.records import one_record
+from lanebound.integrity.core.records import Records, one_record, packed
 from lanebound.integrity.sky.faces import Faces
 from lanebound.integrity.sky.materials import material_table, permittivities
 from lanebound.integrity.sky.raytrace_kernel import (
-    EDGE_LINE,
-    FACE,
     MASK_RULES,
+    RECEPTION,
     STRONGEST,
     MaskRows,
-    ReceptionRows,
     edge_rows,
-    look_up,
+    look_up_rows,
     mask_rows,
 )
 from lanebound.integrity.sky.road import Road
@@ -66,33 +65,27 @@ class Reception:
     path : (B, S) uint8, values of :class:`SignalPath`
     excess_m : (B, S) excess path of the strongest one-bounce reflection, 0 for none. A LOS signal with an excess has
         multipath; a REFLECTED signal is received only by this reflection.
-    given : the same with reflecting faces and diffracting edges as kernels take it, None for none of them
+    given : (B, S) of RECEPTION, of which path and excess are fields: also the faces that reflect and the edges that
+        diffract; None for none of them
     """
 
     path: NDArray[np.uint8]
     excess_m: Array
-    given: ReceptionRows | None = None
+    given: Records | None = None
+
+    @classmethod
+    def of(cls, records: Records) -> Self:
+        """The reception of records (B, S) of RECEPTION."""
+        return cls(records["path"], records["excess"], records)
 
     @property
-    def rows(self) -> ReceptionRows:
-        """The reception as kernels take it."""
+    def records(self) -> Records:
+        """The reception as kernels take it, (B, S) of RECEPTION."""
         if self.given is not None:
             return self.given
-        return blank_reception(*self.path.shape)._replace(path=self.path.copy(), excess=self.excess_m)
-
-
-def blank_reception(batch: int, satellites: int, faces: Faces | None = None) -> ReceptionRows:
-    """Reception to be filled, without reflecting faces and edges; ``faces``: those of a mask, for their tables."""
-    shape = batch, satellites
-    return ReceptionRows(
-        np.empty(shape, np.uint8),
-        np.empty(shape),
-        np.empty(shape, np.int64),
-        np.full((*shape, STRONGEST), -1, np.int32),
-        np.full(shape, -1, np.int32),
-        np.zeros(0, FACE) if faces is None else faces.table,
-        np.zeros(0, EDGE_LINE) if faces is None else faces.edges,
-    )
+        out = packed(RECEPTION, None, path=self.path, excess=self.excess_m)
+        out["face"] = out["edge"] = -1
+        return out
 
 
 @dataclass(frozen=True)
@@ -250,9 +243,9 @@ class SkyMask:
         rows = sky.azimuth_rad.shape[0]
         if batch[0] and not (sky.index.min() >= 0 and sky.index.max() < rows):
             raise InputError(f"sky.index must lie in [0, {rows - 1}], got {sky.index.max()}: name existing rows")
-        out = blank_reception(batch[0], sky.azimuth_rad.shape[1], self.faces)
-        look_up(0, batch[0], self.rows, sky.rows, arc, lanes, out)
-        return Reception(out.path, out.excess, out)
+        out = np.zeros((batch[0], sky.azimuth_rad.shape[1]), RECEPTION)
+        look_up_rows(self.rows, sky.rows, sky.index, arc, lanes, out)
+        return Reception.of(out)
 
     @cached_property
     def rows(self) -> MaskRows:

@@ -125,5 +125,5 @@ def test_the_place_that_a_car_is_told_is_as_good_as_its_navigator() -> None:
     for given, sigma in ((None, 10.0), (0.3, 0.3)):
         navigator = Navigator.nominal(spp, seeds=[1], duration_s=5.0)
         place_all(navigator, NavigationConfig(start_sigma_m=given), np.zeros((1, 2)), np.zeros(1), np.ones((1, 3)))
-        assert navigator.state.belief.growth["p_ee"][0, 0] == pytest.approx(sigma**2)
+        assert navigator.state.belief.vehicles["growth"]["p_ee"][0, 0] == pytest.approx(sigma**2)
         np.testing.assert_allclose(np.abs(navigator.state.belief.vehicles["position"][0, :2]), sigma)

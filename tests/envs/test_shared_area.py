@@ -26,12 +26,12 @@ def test_the_navigators_of_ego_and_others_have_the_same_area(warm_up_s: float) -
     for _ in range(10):
         env.step(np.zeros(2, np.float32))
     state = _navigator(env).state
-    for name in ("memory", "message", "clock", "reference_enu_m"):
+    for name in ("memory", "message", "site"):
         ego, other = getattr(state.area.signals, name)
         np.testing.assert_array_equal(ego, other, err_msg=name)
     network = state.area.network
     for name in ("message", "until", "outage_left"):
-        ego, other = getattr(network, name)
+        ego, other = network.areas[name]
         np.testing.assert_array_equal(ego, other, err_msg=name)
     assert not np.array_equal(*state.gnss.signals)
     assert state.gnss.vehicles["drift"][0] != state.gnss.vehicles["drift"][1]

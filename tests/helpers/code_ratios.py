@@ -44,17 +44,18 @@ def service_solutions(
 
     def keep(first, last, epoch, tables, inputs, ranges):
         original(first, last, epoch, tables, inputs, ranges)
-        found.update(ranges=ranges, los=epoch.measured.los[epoch.measured.sight], system=tables.tables.system)
+        system = tables.tables.satellites["system"]
+        found.update(rows=ranges.rows.copy(), work=ranges.work.copy(), los=epoch.signals["e"].copy(), system=system)
 
     monkeypatch.setattr(stage, "find_fix", keep)
     for truth in truths(batch, epochs, speed_mps):
         navigator.step(truth)
-        if found["ranges"].due.any():
+        if found["work"]["due"].any():
             last = {**found, "truth": truth}
     monkeypatch.undo()
-    ranges = last["ranges"]
-    used = ranges.used & ranges.consistent[:, None]
-    return solve_ranges(last["los"], ranges.y, ranges.variance, used, last["system"]), last["truth"]
+    rows = last["rows"]
+    used = rows["used"] & last["work"]["consistent"][:, None]
+    return solve_ranges(last["los"], rows["y"], rows["variance"], used, last["system"]), last["truth"]
 
 
 def ratio_of(error_m: np.ndarray, covariance_m2: np.ndarray) -> float:

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.stats import chi2
+from signal_records import records_of, rows_of
 
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
 from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters
 from lanebound.integrity.positioning.rtk_kernel import SATELLITE, Carriers
 from lanebound.integrity.positioning.wrong_fix_kernel import displacement_of, next_best_integers
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 from lanebound.integrity.sky.track import SkyTrack
 
@@ -23,7 +25,7 @@ RULES = epoch_parameters(RtkReckoningConfig())["rtk"][0]
 def residual_norm(carriers: Carriers, integers: np.ndarray) -> tuple[float, int]:
     """Squared norm of what integers leave beside position and clocks [sigma^2], and its degrees of freedom."""
     system = carriers.satellites["system"]
-    design = np.column_stack([carriers.los, *((system == s) * 1.0 for s in np.unique(system))])
+    design = np.column_stack([carriers.signals["e"], *((system == s) * 1.0 for s in np.unique(system))])
     root = 1.0 / np.sqrt(carriers.variance * RULES["sigma_phase"] ** 2 / 2.0)
     y = root * (integers * carriers.satellites["wavelength"]).mean(1)
     left = y - root[:, None] * design @ np.linalg.lstsq(root[:, None] * design, y, rcond=None)[0]
@@ -43,9 +45,10 @@ def main() -> None:
             los, satellites = np.ascontiguousarray(view.los_enu[0, chosen]), np.zeros(count, SATELLITE)
             satellites["system"] = view.system[chosen]
             satellites["wavelength"] = WAVELENGTH_M[view.system[chosen], :2]
-            carriers = Carriers(los, satellites, np.zeros((count, 2)), 0.5 * (1.0 + 1.0 / los[:, 2] ** 2))
+            signals, used = records_of(OBSERVED_SIGNAL, count, e=los), rows_of(los, satellites["system"], True)
+            carriers = Carriers(satellites, signals, 0.5 * (1.0 + 1.0 / los[:, 2] ** 2))
             for rank, rows in found.items():
-                integers, moved, used = np.zeros((count, 2), np.int64), np.zeros(3), np.ones(count, np.bool_)
+                integers, moved = np.zeros((count, 2), np.int64), np.zeros(3)
                 if next_best_integers(carriers, used, rank, 0.0, RULES, integers):
                     displacement_of(integers, carriers, used, 2, moved)
                     norm, freedom = residual_norm(carriers, integers)

@@ -46,13 +46,14 @@ def test_class_names_are_unique():
 
 
 def test_functions_take_twelve_arguments_at_most():
-    """More belong into a record. Names with an underscore are options of commands that their parser handles."""
+    """More belong into a record; a kernel may take 16. Names with an underscore are options that a parser handles."""
     long = []
     for layer in ("integrity", "envs", "agents"):
         for path in sorted((ROOT / layer).rglob("*.py")):
+            most = 16 if path.stem.endswith("_kernel") else 12
             for node in ast.walk(ast.parse(path.read_text())):
                 if isinstance(node, ast.FunctionDef):
                     names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
-                    if len([name for name in names if name not in ("self", "cls") and name[0] != "_"]) > 12:
+                    if len([name for name in names if name not in ("self", "cls") and name[0] != "_"]) > most:
                         long.append(f"{path.relative_to(ROOT)}:{node.lineno} {node.name}")
     assert not long

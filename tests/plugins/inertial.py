@@ -23,10 +23,10 @@ def advance(first: int, last: int, epoch: Any, own: Any) -> None:
     """Move the position with the speed, and its error growth with the bound of the accelerometer's error."""
     par = epoch.parameters[0]
     for v in range(first, last):
-        vehicle, w, growth = epoch.state.vehicles[v], epoch.work.vehicles[v], epoch.state.growth[v]
-        mine, gained = own.state[v], epoch.measured.delta_v[v, 0]
+        vehicle, w, observed = epoch.vehicles[v], epoch.work[v], epoch.observed[v]
+        mine, gained = own.state[v], observed.delta_v[0]
         if w.measured:
-            mine.speed, mine.age = math.copysign(w.v_gnss, epoch.measured.speed[v]), 0.0
+            mine.speed, mine.age = math.copysign(w.v_gnss, observed.speed), 0.0
             mine.bound = SIGMAS * math.sqrt(w.q[0, 0] + w.q[1, 1]) + par.doppler.bias
         else:
             mine.speed += gained
@@ -35,16 +35,17 @@ def advance(first: int, last: int, epoch: Any, own: Any) -> None:
             continue
         w.mode = own.code
         if w.resting:
-            stand(par, w, growth)
+            stand(par, w, vehicle)
             continue
         speed, bias = mine.speed - 0.5 * gained, mine.bound + mine.age * par.odometer.watch.allowed
         s, c, b_theta = math.sin(w.middle), math.cos(w.middle), heading_bias(vehicle, par.odometer)
         w.run = par.dt * speed
         move(vehicle, w.run * s, w.run * c)
-        for k in range(growth.shape[0]):
-            step_odometer(w.step, speed, s, c, 0.0, 0.0, b_theta, growth[k])
-            growth[k].box_e += par.dt * abs(s) * bias  # of either sign: a later turn does not cancel it
-            growth[k].box_n += par.dt * abs(c) * bias
+        for k in range(2):
+            growth = vehicle.growth[k]
+            step_odometer(w.step, speed, s, c, 0.0, 0.0, b_theta, growth)
+            growth.box_e += par.dt * abs(s) * bias  # of either sign: a later turn does not cancel it
+            growth.box_n += par.dt * abs(c) * bias
 
 
 INERTIAL = register_mode("inertial", "inertial", advance, one_record(STATE, speed=0.0, bound=0.0, age=math.inf))

@@ -20,21 +20,21 @@ STATE = record(usual="C/N0 of a tracked satellite, averaged, 0: not yet known [d
 def exclude(first: int, last: int, epoch: Any, own: Any) -> None:
     """Exclude satellites that are stronger than any can be."""
     for v in range(first, last):
-        for s in range(epoch.measured.cn0.shape[1]):
-            if epoch.measured.cn0[v, s] > LOUDEST_DBHZ:
+        for s in range(epoch.signals.shape[1]):
+            if epoch.signals[v, s].cn0 > LOUDEST_DBHZ:
                 exclude_satellite(epoch, v, s)
 
 
 @jit
 def bound(first: int, last: int, epoch: Any, own: Any) -> None:
     """``PL = K sigma 10^(loss / 20)`` of the RTK position, as noise grows with the loss of C/N0; alert beyond 6 dB."""
-    tracked, cn0, share = epoch.measured.tracked, epoch.measured.cn0, epoch.parameters[0].dt / AVERAGE_S
+    signals, share = epoch.signals, epoch.parameters[0].dt / AVERAGE_S
     for v in range(first, last):
-        w, mine, count, total = epoch.work.vehicles[v], own.state[v], 0, 0.0
-        for s in range(cn0.shape[1]):
-            if tracked[v, s]:
+        w, mine, count, total = epoch.work[v], own.state[v], 0, 0.0
+        for s in range(signals.shape[1]):
+            if signals[v, s].tracked:
                 count += 1
-                total += cn0[v, s]
+                total += signals[v, s].cn0
         if count == 0:
             continue
         if mine.usual == 0.0:

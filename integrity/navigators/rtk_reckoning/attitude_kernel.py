@@ -1,4 +1,4 @@
-"""Stage 2: standstill, and the heading by the gyro, calibrated by Doppler."""
+"""Standstill, and the heading by the gyro, calibrated by Doppler."""
 
 from __future__ import annotations
 
@@ -39,24 +39,24 @@ REST_S = 0.5  # without motion, until the vehicle is at rest
 REST_DOPPLER_MPS = 0.1  # Doppler speed that is no motion, at least
 
 
-@jit(borrows=True)
+@jit
 def find_attitude(first: int, last: int, epoch: Epoch) -> None:
     """Heading at the end of the epoch, and the course in its middle."""
-    par, measured = epoch.parameters[0], epoch.measured
+    par = epoch.parameters[0]
     for v in range(first, last):
-        vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
-        heading, speed = vehicle.heading, measured.speed[v]
-        w.turning = measured.turn[v, 2] * (1.0 - heading.gyro_scale) / par.dt - heading.gyro_bias
+        vehicle, w, observed = epoch.vehicles[v], epoch.work[v], epoch.observed[v]
+        heading, speed, turn = vehicle.heading, observed.speed, observed.turn[2]
+        w.turning = turn * (1.0 - heading.gyro_scale) / par.dt - heading.gyro_bias
         _move_velocity(vehicle, par, w)
         w.resting = _find_rest(vehicle, par, speed, w)
         w.slip = side_slip(par.lever.axle, w.turning, speed)
         slip_rate = w.turning / (speed * math.cos(w.slip)) if abs(speed) > MOVING_MPS else 0.0
-        expect_turn(measured.turn[v, 2], par.dt, par.heading.angle_random_walk, slip_rate, heading, w.step.turn)
-        w.middle = wrap(_advance_heading(heading, par, measured.turn[v, 2], w) + w.slip)
+        expect_turn(turn, par.dt, par.heading.angle_random_walk, slip_rate, heading, w.step.turn)
+        w.middle = wrap(_advance_heading(heading, par, turn, w) + w.slip)
         w.reckoned, w.turned = heading.angle, 0.0 if w.resting else w.turning * par.dt
         w.before_e, w.before_n = vehicle.position[0], vehicle.position[1]
         if not w.resting:
-            follow_gyro(measured.turn[v, 2], par.heading, par.dt, vehicle.doubt)
+            follow_gyro(turn, par.heading, par.dt, vehicle.doubt)
         vehicle.memory_s += par.dt
         if w.checked and not w.resting and _calibrate(vehicle, par, speed, slip_rate, w):
             vehicle.since_calibration = 0.0
@@ -77,7 +77,7 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
         w.measured = w.measured and (par.risk.published or not vehicle.doubt.refuses)
 
 
-@jit(borrows=True)
+@jit
 def _move_velocity(vehicle: Any, par: Any, w: Any) -> None:
     """Velocity of the reference point from that of the antenna and the yaw rate."""
     sin_h, cos_h = math.sin(vehicle.heading.angle), math.cos(vehicle.heading.angle)
@@ -87,7 +87,7 @@ def _move_velocity(vehicle: Any, par: Any, w: Any) -> None:
     w.v_gnss = math.hypot(w.v_e, w.v_n)
 
 
-@jit(borrows=True)
+@jit
 def _find_rest(vehicle: Any, par: Any, speed: float, w: Any) -> bool:
     """Count how long the vehicle has been at rest: no pulse, no turn, and no Doppler speed beyond its noise."""
     spinning = turning_at_rest(par.dt, speed, w.turning, par.odometer.watch, vehicle.watch)
@@ -98,7 +98,7 @@ def _find_rest(vehicle: Any, par: Any, speed: float, w: Any) -> bool:
     return bool(vehicle.rest_s > REST_S)
 
 
-@jit(borrows=True)
+@jit
 def side_slip(axle: float, turning: float, speed: float) -> float:
     """Angle in a turn from the heading to the course of the reference point, ``axle`` [m] ahead of the rear axle [rad].
 
@@ -108,7 +108,7 @@ def side_slip(axle: float, turning: float, speed: float) -> float:
     return math.asin(min(max(sine, -1.0), 1.0))
 
 
-@jit(borrows=True)
+@jit
 def _advance_heading(heading: Any, par: Any, delta_theta: float, w: Any) -> float:
     """Advance the heading by the gyro; at rest hold it and learn the gyro bias instead (ZUPT, S1 figure 1).
 
@@ -123,7 +123,7 @@ def _advance_heading(heading: Any, par: Any, delta_theta: float, w: Any) -> floa
     return float(wrap(before + 0.5 * wrap(heading.angle - before)))
 
 
-@jit(borrows=True)
+@jit
 def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -> bool:
     """Calibrate the heading filter by the checked Doppler course where S1 table 1 allows it; True when done.
 

@@ -9,25 +9,25 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 __all__ = ["follow_histories", "judge_histories"]
 
 
-@jit(borrows=True)
+@jit
 def follow_histories(first: int, last: int, epoch: Epoch) -> None:
     """Advance the paths by both headings while gyro and Doppler contradict each other."""
-    state, par = epoch.state, epoch.parameters[0]
+    par = epoch.parameters[0]
     for v in range(first, last):
-        vehicle, w = state.vehicles[v], epoch.work.vehicles[v]
+        vehicle, w = epoch.vehicles[v], epoch.work[v]
         if vehicle.doubt.stage == NONE:
             continue
         taken = vehicle.position[0] - w.before_e, vehicle.position[1] - w.before_n
-        run = 0.0 if w.resting else par.dt * epoch.measured.speed[v]
-        follow_paths(taken, run, w.middle, w.reckoned, w.turned, par.lever, vehicle.doubt, state.growth[v])
+        run = 0.0 if w.resting else par.dt * epoch.observed[v].speed
+        follow_paths(taken, run, w.middle, w.reckoned, w.turned, par.lever, vehicle.doubt, vehicle.growth)
 
 
-@jit(borrows=True)
+@jit
 def judge_histories(first: int, last: int, epoch: Epoch) -> None:
     """Let RTK positions that are accepted, one epoch after the other, decide which heading was right."""
     par = epoch.parameters[0]
     for v in range(first, last):
-        vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
+        vehicle, w = epoch.vehicles[v], epoch.work[v]
         if vehicle.doubt.stage == NONE:
             continue
         if not w.accepted:

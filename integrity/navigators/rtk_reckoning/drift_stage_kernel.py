@@ -29,13 +29,13 @@ __all__ = ["watch_drift"]
 @jit
 def watch_drift(first: int, last: int, epoch: Epoch) -> None:
     """Advance the windows while RTK positions follow one another; a drift becomes one of the jump monitor's state."""
-    par, watch, measured = epoch.parameters[0], epoch.state.drift, epoch.measured
-    if watch.anchors.shape[1] == 0:
+    par = epoch.parameters[0]
+    if epoch.anchors.shape[1] == 0:  # no window: the watch is off
         return
     rules = par.drift
     for v in range(first, last):
-        vehicle, w, d, anchors = epoch.state.vehicles[v], epoch.work.vehicles[v], watch.rows[v], watch.anchors[v]
-        fixed, speed, heading = w.fixed, measured.speed[v], vehicle.heading
+        vehicle, w, anchors = epoch.vehicles[v], epoch.work[v], epoch.anchors[v]
+        d, fixed, speed, heading = vehicle.drift, w.fixed, epoch.observed[v].speed, vehicle.heading
         walk = walk_of(par.heading.angle_random_walk, heading.p_bb, heading.p_ss, w.turning, rules)
         advance(par.dt, par.dt * speed, w.slip, w.turning, w.resting, walk, rules, d)
         fold_doppler(par.dt, w.solved and w.hdop_doppler < par.heading.calibration.max_hdop, w.v_e, w.v_n, d)
@@ -56,7 +56,7 @@ def watch_drift(first: int, last: int, epoch: Epoch) -> None:
         learn(east, north, variance, speed, heading.angle, heading.p_hh + bias * bias, rules, d, anchors)
 
 
-@jit(borrows=True)
+@jit
 def worst_variance(fixed: Any) -> float:
     """Variance of the fixed position on its worst axis [m^2]."""
     return float(
@@ -64,7 +64,7 @@ def worst_variance(fixed: Any) -> float:
     )
 
 
-@jit(borrows=True)
+@jit
 def report_drift(
     found: int, east: float, north: float, variance: float, speed: float, rules: Any, d: Any, anchors: Records,
     jump: Any,

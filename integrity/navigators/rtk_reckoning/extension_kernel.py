@@ -11,41 +11,47 @@ from typing import Any
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.monitoring.alerts_kernel import NONE
+from lanebound.integrity.monitoring.jump_kernel import begin_epoch
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.positioning.codes_kernel import UNDECIDED
 
 __all__ = ["begin", "exclude_satellite", "raise_alert", "raise_level", "refuse_doppler", "refuse_fix"]
 
 
-@jit(borrows=True)
+@jit
 def begin(first: int, last: int, epoch: Epoch) -> None:
-    """No mode has moved the position yet, and no monitor from outside has found anything."""
+    """Advance the clocks. Nothing is estimated yet, and no level is known."""
     for v in range(first, last):
-        w = epoch.work.vehicles[v]
+        vehicle, w = epoch.vehicles[v], epoch.work[v]
+        epoch.levels[v, :, :] = math.inf
+        begin_epoch(epoch.parameters[0].dt, vehicle.jump)
+        vehicle.since_rtk += epoch.parameters[0].dt
+        vehicle.since_calibration += epoch.parameters[0].dt
+        vehicle.backup.age += epoch.parameters[0].dt
         w.mode, w.integrates, w.run, w.excluded, w.cause = UNDECIDED, False, 0.0, 0, NONE
 
 
-@jit(borrows=True)
+@jit
 def exclude_satellite(epoch: Epoch, v: int, s: int) -> None:
     """Exclude satellite s from this epoch of vehicle v; before anything is estimated (Point.MEASURED)."""
-    if epoch.measured.tracked[v, s]:
-        epoch.measured.tracked[v, s] = False
-        epoch.work.vehicles[v].excluded += 1
+    if epoch.signals[v, s].tracked:
+        epoch.signals[v, s].tracked = False
+        epoch.work[v].excluded += 1
 
 
-@jit(borrows=True)
+@jit
 def refuse_doppler(w: Any) -> None:
     """The Doppler velocity does not move the position in this epoch (Point.ESTIMATED)."""
     w.measured = False
 
 
-@jit(borrows=True)
+@jit
 def refuse_fix(w: Any) -> None:
     """The RTK position is not used in this epoch (Point.ESTIMATED)."""
     w.fixed.usable = False
 
 
-@jit(borrows=True)
+@jit
 def raise_alert(w: Any, code: int) -> None:
     """Ask for an alert in this epoch, whatever the levels are, with a code of AlertReason; the first code stays.
 
@@ -55,11 +61,11 @@ def raise_alert(w: Any, code: int) -> None:
         w.cause = code
 
 
-@jit(borrows=True)
+@jit
 def raise_level(epoch: Epoch, v: int, case: int, axis: int, level: float) -> None:
     """Raise the protection level of vehicle v, of one case along (0) or across track (1), to ``level`` [m] at least.
 
     A NaN counts as no level, ``inf``. Only at Point.BOUNDED: earlier stages come before the levels are computed.
     """
-    if not level <= epoch.out.levels[v, case, axis]:
-        epoch.out.levels[v, case, axis] = level if level == level else math.inf
+    if not level <= epoch.levels[v, case, axis]:
+        epoch.levels[v, case, axis] = level if level == level else math.inf

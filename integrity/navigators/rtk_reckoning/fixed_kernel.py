@@ -1,4 +1,4 @@
-"""Stage 5: the position of the held phases, its fault test and its protection levels.
+"""The position of the held phases, its fault test and its protection levels.
 
 The fixed position takes the phases alone: the code's share of the weight is the inverse square of the code/phase ratio,
 1/5000, and would only add its multipath.
@@ -15,7 +15,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, UNRESOLVED, detect_and_exclude
-from lanebound.integrity.monitoring.heading_separation_kernel import Courses, courses_of, largest_course
+from lanebound.integrity.monitoring.heading_separation_kernel import largest_course
 from lanebound.integrity.monitoring.protection_kernel import (
     closed_form,
     closed_form_published,
@@ -43,7 +43,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
     Ints,
     Tables,
 )
-from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import find_members
+from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import fill_rows, find_members
 from lanebound.integrity.positioning.codes_kernel import FAULT, FIXED, NO_CORRECTIONS, TOO_FEW
 from lanebound.integrity.positioning.geometry_kernel import (
     SOLVED,
@@ -55,7 +55,7 @@ from lanebound.integrity.positioning.geometry_kernel import (
 )
 from lanebound.integrity.positioning.mode_kernel import rtk_usable
 from lanebound.integrity.positioning.reflection_odds_kernel import LARGEST_SET
-from lanebound.integrity.positioning.rows_kernel import Rows
+from lanebound.integrity.positioning.rows_kernel import ROW
 from lanebound.integrity.positioning.rtk_kernel import (
     Carriers,
     atmosphere_variance,
@@ -63,7 +63,6 @@ from lanebound.integrity.positioning.rtk_kernel import (
     held_risk,
     range_of,
 )
-from lanebound.integrity.positioning.wrong_fix_kernel import next_best_integers
 
 __all__ = ["find_fixed_position"]
 
@@ -73,7 +72,7 @@ class FixedScratch(NamedTuple):
 
     geo, moments, modes of its levels; los (W, 3), group (W,); variance for integrity, bias bound, measurement,
     variance for accuracy and odds of a fault (W,) of the satellites in it; sets (D, LARGEST_SET) of them to monitor;
-    wrong (S, 2) errors of the integers [cycles]; tried, air (W,) of all satellites: in use before the test, variance of
+    tried, air (W,) of all satellites: in use before the test, variance of
     what the bands have in common [m^2]; position (3,) and covariance (3, 3) of the test; risk (1,), budget (1, 2) and
     level (1, 2) of a case.
     """
@@ -89,7 +88,6 @@ class FixedScratch(NamedTuple):
     accuracy: Array
     odds: Array
     sets: Ints
-    wrong: Ints
     tried: Bools
     air: Array
     position: Array
@@ -106,7 +104,6 @@ def fixed_scratch(n: int, sets: int) -> FixedScratch:
     return FixedScratch(
         geometry_scratch(n), moment_scratch(n), mode_scratch(n, sets), np.zeros((w, 3)), np.zeros(w, dtype=np.int64),
         np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros((sets, LARGEST_SET), dtype=np.int64),
-        np.zeros((n, 2), dtype=np.int64),
         np.zeros(w, dtype=np.bool_), np.zeros(w), np.zeros(3), np.zeros((3, 3)), np.zeros(1), np.zeros((1, 2)),
         np.zeros((1, 2)),
     )  # fmt: skip
@@ -115,30 +112,23 @@ def fixed_scratch(n: int, sets: int) -> FixedScratch:
 @jit
 def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
     """Solve with the held phases, test and exclude, and bound the position where it may be used."""
-    par, state, measured, work = epoch.parameters[0], epoch.state, epoch.measured, epoch.work
-    tables, rules = epoch.tables, par.rtk
-    satellites = tables.satellites
-    n, scratch = satellites.shape[0], fixed_scratch(satellites.shape[0], rules.reflections.sets)
-    system = np.empty(n, dtype=np.int64)
-    rows = Rows(np.empty((n, 3)), system, np.empty(n), np.empty(n), np.empty(n, dtype=np.bool_))
-    for s in range(n):
-        system[s] = satellites[s].system
+    par, tables, satellites = epoch.parameters[0], epoch.tables, epoch.tables.satellites
+    rules, n = par.rtk, satellites.shape[0]
+    scratch, rows, factor = fixed_scratch(n, rules.reflections.sets), np.zeros(n, ROW), np.empty(n)
     for v in range(first, last):
-        vehicle, w, ambiguities = state.vehicles[v], work.vehicles[v], state.ambiguities[v]
-        fixed, los = w.fixed, measured.los[measured.sight[v]]
-        work.fixed_levels[v, :, :] = 0.0
+        vehicle, w, ambiguities = epoch.vehicles[v], epoch.work[v], epoch.ambiguities[v]
+        fixed, signals, marks, levels = w.fixed, epoch.signals[v], epoch.marks[v], epoch.fixed_levels[v]
+        levels[:, :] = 0.0
         fixed.satellites, fixed.excluded, fixed.hdop, fixed.usable = 0, 0, math.inf, False
         if fixed.status != NO_CORRECTIONS:
-            count, positioned = find_members(ambiguities, work.used[v], satellites, rules, rows.used)
-            fixed.satellites = count
+            for s in range(n):
+                factor[s] = marks[s].factor
+            carriers = Carriers(satellites, signals, factor)
+            fill_rows(carriers, marks, rows)
+            fixed.satellites, positioned = find_members(ambiguities, marks, satellites, rules, rows)
             if positioned:
-                carriers = Carriers(los, satellites, measured.phase[v], work.factor[v])
-                here = Rows(los, system, rows.variance, rows.y, rows.used)
                 fixed.coded = False  # its position gives way to that of the phases
-                _find_wrong(carriers, rows.used, measured.integer_error[v], measured.next_best[v], rules, scratch.wrong)
-                _solve_fixed(
-                    carriers, scratch.wrong, here, ambiguities, measured.age[v], tables, par, vehicle, w, scratch
-                )
+                _solve_fixed(carriers, rows, ambiguities, epoch.observed[v].age, tables, par, vehicle, w, scratch)
             elif fixed.status == FIXED:
                 fixed.status = TOO_FEW
         fixed.wrong = held_risk(ambiguities)
@@ -147,42 +137,34 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
         confirmed = fixed.status == FIXED and (fixed.lasting or vehicle.fixed_s > par.confirm)
         fixed.usable = confirmed and rtk_usable(fixed.hdop, par.modes)
         if fixed.usable:
-            levels = work.fixed_levels[v]
             levels_of_fix(fixed.satellites, fixed.wrong, w.sin_h, w.cos_h, tables, par, scratch, levels)
-            lever_at, lever_ct = lever_bounds(vehicle, courses_of(state.courses, v), par)
+            lever_at, lever_ct = lever_bounds(vehicle, epoch.faults[v], par)
             for r in range(levels.shape[0]):
                 levels[r, 0] += lever_at
                 levels[r, 1] += lever_ct
 
 
 @jit
-def _find_wrong(carriers: Carriers, used: Bools, given: Ints, candidate: Array, rules: Any, wrong: Ints) -> None:
-    """Fill the errors of the integers (S, 2) by a fault: those given, and those of a candidate (rank, azimuth)."""
-    if not (candidate[0] > 0.0 and next_best_integers(carriers, used, int(candidate[0]), candidate[1], rules, wrong)):
-        wrong[:] = 0
-    wrong += given
-
-
-@jit
 def _solve_fixed(
-    carriers: Carriers, error: Ints, rows: Rows, ambiguities: Records, age: float, tables: Tables, par: Any,
-    vehicle: Any, w: Any, scratch: FixedScratch,
+    carriers: Carriers, rows: Records, ambiguities: Records, age: float, tables: Tables, par: Any, vehicle: Any,
+    w: Any, scratch: FixedScratch,
 ) -> None:  # fmt: skip
     """Test the rows in use, release the integers of what is excluded, and solve with the rest.
 
-    ``carriers.variance`` holds the variance factors, ``error`` (S, 2) the fault of the integers [cycles].
+    ``carriers.variance`` holds the variance factors.
     """
-    rules, rtk, fixed, factor, n_sat = par.rtk, vehicle.rtk, w.fixed, carriers.variance, rows.y.shape[0]
+    rules, rtk, fixed, factor, n_sat = par.rtk, vehicle.rtk, w.fixed, carriers.variance, rows.shape[0]
     tried, air = scratch.tried, scratch.air
     aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
-    collapse_phase(carriers, ambiguities, rules.bands, rows.y)
+    collapse_phase(carriers, ambiguities, rules.bands, rows)
     for s in range(n_sat):
-        tried[s] = rows.used[s]
-        rows.y[s] -= range_of(error[s], carriers.satellites[s], rules.bands)
-        air[s] = aged + atmosphere_variance(rows.los[s, 2], carriers.satellites[s], rules)
-        rows.variance[s] = factor[s] * (rules.sigma_phase**2 / rules.bands) + air[s]
+        row = rows[s]
+        tried[s] = row.used
+        row.y -= range_of(carriers.signals[s].integer_error, carriers.satellites[s], rules.bands)
+        air[s] = aged + atmosphere_variance(row.e[2], carriers.satellites[s], rules)
+        row.variance = factor[s] * (rules.sigma_phase**2 / rules.bands) + air[s]
     outcome, _, _, _, fixed.excluded = detect_and_exclude(
-        rows, rows.group, vehicle.heading.angle, tables.thresholds, par.fde, scratch.position, scratch.covariance
+        rows, vehicle.heading.angle, tables.thresholds, par.fde, scratch.position, scratch.covariance
     )
     if outcome == UNRESOLVED:
         rtk.rejected += 1
@@ -198,12 +180,13 @@ def _solve_fixed(
         return
     n, nominal, los, group = 0, rules.sigma_phase_integrity**2, scratch.los, scratch.group
     for s in range(n_sat):
-        if tried[s] and not rows.used[s]:
+        row = rows[s]
+        if tried[s] and not row.used:
             ambiguities[s].held = False
-        if rows.used[s]:
-            los[n, 0], los[n, 1], los[n, 2], group[n] = rows.los[s, 0], rows.los[s, 1], rows.los[s, 2], rows.group[s]
+        if row.used:
+            los[n, 0], los[n, 1], los[n, 2], group[n] = row.e[0], row.e[1], row.e[2], row.group
             scratch.variance[n], scratch.bias[n] = factor[s] * nominal + air[s], rules.phase_bias
-            scratch.y[n], scratch.accuracy[n], scratch.odds[n] = rows.y[s], rows.variance[s], ambiguities[s].odds
+            scratch.y[n], scratch.accuracy[n], scratch.odds[n] = row.y, row.variance, ambiguities[s].odds
             n += 1
     fixed.satellites = n
     geo = scratch.geo
@@ -216,7 +199,7 @@ def _solve_fixed(
         fixed.position[k] = fix.position[k]
     fixed.p_ee, fixed.p_en, fixed.p_nn = fix.p_ee, fix.p_en, fix.p_nn
     fixed.sigma[0], fixed.sigma[1] = fix.sigma[0], fix.sigma[1]
-    fixed.status, fixed.hdop = FIXED, hdop_of(rows.los, rows.group, rows.used)
+    fixed.status, fixed.hdop = FIXED, hdop_of(rows)
 
 
 @jit
@@ -248,11 +231,11 @@ def levels_of_fix(
                 lost = set_priors(group, n, count, risk.satellite_prior, risk.constellation_prior, geo.clocks, modes)
                 apart = pair_risk(count, modes.prior) if risk.multiple else 0.0
                 if published:
-                    set_factors(n, count, tables.k_published[count - 1], 0.0, geo.clocks, modes)
+                    set_factors(n, count, tables.thresholds.limits[count - 1].published, 0.0, geo.clocks, modes)
                 else:
-                    df, k_fa = n - 3 - geo.fix[0].groups, tables.k_fa
-                    least = math.sqrt(k_fa.global_chi2[df]) if par.fde.global_first else 0.0
-                    factors = k_fa.factor[count - 1 if par.fde.by_tests else df]
+                    df = n - 3 - geo.fix[0].groups
+                    least = math.sqrt(tables.thresholds.limits[df].counted) if par.fde.global_first else 0.0
+                    factors = tables.counted[count - 1 if par.fde.by_tests else df]
                     set_factors(n, count, factors, least, geo.clocks, modes)
                     if par.rtk.reflections.sets > 0:
                         count, lost, apart = add_reflection_modes(
@@ -277,8 +260,8 @@ def levels_of_fix(
             pl[r, 0], pl[r, 1] = found[0, 0] + shift, found[0, 1] + shift
 
 
-@jit(borrows=True)
-def lever_bounds(vehicle: Any, courses: Courses, par: Any) -> tuple[float, float]:
+@jit
+def lever_bounds(vehicle: Any, faults: Records, par: Any) -> tuple[float, float]:
     """Bounds on the shift of the reference point against the antenna by a wrong heading, along and across [m].
 
     A lever (f, r) turned by theta moves ``f (cos theta - 1) - r sin theta`` along, ``f sin theta + r (cos theta - 1)``
@@ -288,7 +271,7 @@ def lever_bounds(vehicle: Any, courses: Courses, par: Any) -> tuple[float, float
     f, r = abs(par.lever.forward), abs(par.lever.right)
     if f == 0.0 and r == 0.0:
         return 0.0, 0.0
-    heading, fault = vehicle.heading, largest_course(courses)
+    heading, fault = vehicle.heading, largest_course(faults)
     theta = par.lever.k * math.sqrt(heading.p_hh + vehicle.spread.hh) + heading_bias(vehicle, par.odometer)
     theta += fault + par.lever.axle_bound * abs(heading.axle_h) + vehicle.doubt.difference
     theta = min(theta, math.pi)

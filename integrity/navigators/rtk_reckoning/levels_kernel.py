@@ -6,24 +6,21 @@ Two dead reckonings run in parallel: LATEST since the last RTK position, and BAC
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, shortened, sigma_and_bias
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
-    Separations,
-    clear_modes,
     exposure,
+    forget_separation,
     risk_factors,
-    separations_of,
     worst_separation,
 )
 from lanebound.integrity.monitoring.heading_doubt_kernel import NONE, aside, cover_axes
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Array, Epoch, Tables
 
 __all__ = [
-    "DeadReckoningState",
     "along_axes",
     "cover_histories",
     "find_levels",
@@ -34,18 +31,7 @@ __all__ = [
 ]
 
 
-class DeadReckoningState(NamedTuple):
-    """What has been added to an RTK position: growth of its errors, what it left to the cases, the separations.
-
-    growth of GROWTH, starts (R,) of START, separations (W,).
-    """
-
-    growth: Any
-    starts: Records
-    separations: Separations
-
-
-@jit(borrows=True)
+@jit
 def heading_bias(vehicle: Any, rules: Any) -> float:
     """Bound on the heading's error beside the filter's variance [rad]; pi before the first calibration."""
     if not vehicle.since_calibration < math.inf:
@@ -53,7 +39,7 @@ def heading_bias(vehicle: Any, rules: Any) -> float:
     return float(min(rules.heading_bias + rules.heading_drift * vehicle.since_calibration, math.pi))
 
 
-@jit(borrows=True)
+@jit
 def later_by(since: float, memory: float, duration: float) -> float:
     """Factor by which a fault since some time [s] ago is likelier than at one moment, for a mean duration [s].
 
@@ -62,21 +48,20 @@ def later_by(since: float, memory: float, duration: float) -> float:
     return 1.0 + (since + 3.0 * memory) / duration if since < math.inf else 1.0
 
 
-@jit(borrows=True)
+@jit
 def find_levels(first: int, last: int, epoch: Epoch) -> None:
-    """Stage 9: levels of the position as dead reckoning has moved it; inf where the odometer is doubted."""
-    par, state, tables = epoch.parameters[0], epoch.state, epoch.tables
+    """Levels of the position as dead reckoning has moved it; inf where the odometer is doubted."""
+    par, tables = epoch.parameters[0], epoch.tables
     for v in range(first, last):
-        vehicle, w = state.vehicles[v], epoch.work.vehicles[v]
+        vehicle, w, levels = epoch.vehicles[v], epoch.work[v], epoch.levels[v]
+        # Without a first position, a healthy odometer or a heading nothing bounds the error: the levels stay infinite.
         if vehicle.initialised and not vehicle.unbounded and vehicle.since_calibration < math.inf:
-            latest = DeadReckoningState(
-                state.growth[v, LATEST], state.starts[v, LATEST], separations_of(state.latest, v)
-            )
-            levels_since_fix(latest, tables, par.risk, w.sin_h, w.cos_h, w.later, epoch.out.levels[v])
-            cover_histories(vehicle.doubt, tables, epoch.out.levels[v])
+            growth, starts, separations = vehicle.growth[LATEST], epoch.starts[v, LATEST], epoch.faults[v].latest
+            levels_since_fix(growth, starts, separations, tables, par.risk, w.sin_h, w.cos_h, w.later, levels)
+            cover_histories(vehicle.doubt, tables, levels)
 
 
-@jit(borrows=True)
+@jit
 def cover_histories(doubt: Any, tables: Tables, levels: Array) -> None:
     """Raise the exact levels (R, 2) to hold on the axes of both headings that gyro and Doppler tell."""
     if doubt.stage == NONE:
@@ -86,11 +71,14 @@ def cover_histories(doubt: Any, tables: Tables, levels: Array) -> None:
             cover_axes(doubt.difference, levels[r])
 
 
-@jit(borrows=True)
+@jit
 def levels_since_fix(
-    reckoning: DeadReckoningState, tables: Tables, risk: Any, sin_h: float, cos_h: float, later: float, pl: Array
-) -> None:
+    growth: Any, starts: Records, separations: Records, tables: Tables, risk: Any, sin_h: float, cos_h: float,
+    later: float, pl: Array,
+) -> None:  # fmt: skip
     """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case, into pl (R, 2) [m].
+
+    growth of GROWTH; starts (R,) of START; separations (M,) of SEPARATION.
 
     Exact levels also bound a fault of any satellite or system in the Doppler velocities since the fix and in the
     heading that they calibrated, by the separation that it has caused
@@ -99,8 +87,8 @@ def levels_since_fix(
     that the reference gave to the RTK position exact levels take the bound on each axis, published ones equal
     components on E and N.
     """
-    growth, starts, separations, cases = reckoning.growth, reckoning.starts, reckoning.separations, tables.cases
-    total, squares, lost = exposure(tables.prior, separations.state)
+    cases = tables.cases
+    total, squares, lost = exposure(tables.prior, separations)
     total, squares, lost = later * total, later * later * squares, later * lost
     pair = 0.5 * (total * total - squares) if risk.multiple else 0.0
     axis_sine, axis_cosine = (sin_h, cos_h), (cos_h, -sin_h)
@@ -133,11 +121,8 @@ def levels_since_fix(
             pl[r, q] = level + sigma_bias[2 + q] + bow + risk.reference_bias + aside(sine, cosine, growth)
 
 
-@jit(borrows=True)
-def restart(
-    reckoning: DeadReckoningState, tables: Tables, risk: Any, vehicle: Any, fixed: Any, sin_h: float, cos_h: float,
-    level: Array,
-) -> None:  # fmt: skip
+@jit
+def restart(vehicle: Any, starts: Records, faults: Records, tables: Tables, risk: Any, w: Any, level: Array) -> None:
     """Restart dead reckoning at the RTK position just found, for every case.
 
     Its initial error must keep what the protection level promised, biases and faults included: what the ``level``
@@ -145,12 +130,14 @@ def restart(
     the track where ``fixed.turned``, so that a straight drive leaves it as it is. The published form
     starts from the fault-free covariance alone, as S1 does.
     """
-    reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, reckoning.growth)
+    fixed, sin_h, cos_h = w.fixed, w.sin_h, w.cos_h
+    reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, vehicle.growth[LATEST])
     if vehicle.separated:
-        clear_modes(reckoning.separations)
+        for k in range(faults.shape[0]):
+            forget_separation(faults[k].latest)
         vehicle.separated = False
     for r in range(level.shape[0]):
-        start, case = reckoning.starts[r], tables.cases[r]
+        start, case = starts[r], tables.cases[r]
         start.bias_first, start.bias_second, start.whole_first, start.whole_second = 0.0, 0.0, 0.0, 0.0
         start.axis_e, start.axis_n = (sin_h, cos_h) if fixed.turned else (1.0, 0.0)
         if not (level[r, 0] < math.inf and level[r, 1] < math.inf):
@@ -163,13 +150,13 @@ def restart(
             start.bias_first, start.bias_second = (at, ct) if fixed.turned else _box(at, ct, sin_h, cos_h)
 
 
-@jit(borrows=True)
+@jit
 def along_axes(east: float, north: float, start: Any) -> tuple[float, float]:
     """Components of a vector along the two axes of a start."""
     return east * start.axis_e + north * start.axis_n, north * start.axis_e - east * start.axis_n
 
 
-@jit(borrows=True)
+@jit
 def _box(at: float, ct: float, sin_h: float, cos_h: float) -> tuple[float, float]:
     """Bounds on E and N of what is bounded along and across the track."""
     return abs(sin_h) * at + abs(cos_h) * ct, abs(cos_h) * at + abs(sin_h) * ct

@@ -11,7 +11,6 @@ import math
 from typing import Any
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import step_doppler, step_odometer, step_still
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Array, Epoch
@@ -20,31 +19,31 @@ from lanebound.integrity.positioning.codes_kernel import DOPPLER, IMU_ODOMETER, 
 __all__ = ["advance_doppler", "advance_imu_odometer", "advance_nothing", "doppler_is_tighter", "move", "stand"]
 
 
-@jit(borrows=True)
+@jit
 def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
     """Doppler: ``p += dt/2 (v_{t-1} + v_t)`` where its velocity is usable and the last RTK position is recent."""
-    par, state = epoch.parameters[0], epoch.state
+    par = epoch.parameters[0]
     for v in range(first, last):
-        vehicle, w, growth = state.vehicles[v], epoch.work.vehicles[v], state.growth[v]
+        vehicle, w = epoch.vehicles[v], epoch.work[v]
         if w.mode != UNDECIDED or not (vehicle.initialised and w.measured):
             continue
         if not vehicle.since_rtk <= par.modes.doppler_max_s:
             continue
         if par.modes.doppler_if_tighter and not doppler_is_tighter(
-            w, vehicle, epoch.measured.speed[v], epoch.tables.cases[0].k_dead, par
+            w, vehicle, epoch.observed[v].speed, epoch.tables.cases[0].k_dead, par
         ):
             continue
         w.mode, w.integrates = DOPPLER, not w.resting
         if w.resting:
-            stand(par, w, growth)
+            stand(par, w, vehicle)
             continue
         before_e, before_n = (vehicle.velocity[0], vehicle.velocity[1]) if vehicle.has_velocity else (w.v_e, w.v_n)
         move(vehicle, 0.5 * par.dt * (before_e + w.v_e), 0.5 * par.dt * (before_n + w.v_n))
-        for k in range(growth.shape[0]):
-            step_doppler(w.step, w.q[0, 0], w.q[0, 1], w.q[1, 1], par.doppler.bias, growth[k])
+        for k in range(2):
+            step_doppler(w.step, w.q[0, 0], w.q[0, 1], w.q[1, 1], par.doppler.bias, vehicle.growth[k])
 
 
-@jit(borrows=True)
+@jit
 def doppler_is_tighter(w: Any, vehicle: Any, speed: float, k_md: Array, par: Any) -> bool:
     """Whether the bound of the Doppler velocity is smaller than that of gyro and odometer, squared and over both axes.
 
@@ -63,39 +62,39 @@ def doppler_is_tighter(w: Any, vehicle: Any, speed: float, k_md: Array, par: Any
     return bool(doppler * doppler < across * across + along * along)
 
 
-@jit(borrows=True)
+@jit
 def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
     """IMU and odometer: ``p += V dt [sin t, cos t]``; usable after a first position."""
-    par, state = epoch.parameters[0], epoch.state
+    par = epoch.parameters[0]
     rules = par.odometer
     for v in range(first, last):
-        vehicle, w, growth = state.vehicles[v], epoch.work.vehicles[v], state.growth[v]
+        vehicle, w = epoch.vehicles[v], epoch.work[v]
         if w.mode != UNDECIDED or not vehicle.initialised:
             continue
         w.mode = IMU_ODOMETER
         if w.resting:
-            stand(par, w, growth)
+            stand(par, w, vehicle)
             continue
-        s, c, speed = math.sin(w.middle), math.cos(w.middle), epoch.measured.speed[v]
+        s, c, speed = math.sin(w.middle), math.cos(w.middle), epoch.observed[v].speed
         w.run = par.dt * speed
         move(vehicle, w.run * s, w.run * c)
         b_theta, bias = heading_bias(vehicle, rules), rules.bias + rules.scale * abs(speed)
-        for k in range(growth.shape[0]):
-            step_odometer(w.step, speed, s, c, rules.sigma, bias, b_theta, growth[k])
+        for k in range(2):
+            step_odometer(w.step, speed, s, c, rules.sigma, bias, b_theta, vehicle.growth[k])
 
 
-@jit(borrows=True)
+@jit
 def advance_nothing(first: int, last: int, epoch: Epoch) -> None:
     """No mode is usable: the position stays, and no level holds for it before the next RTK position."""
     for v in range(first, last):
-        vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
+        vehicle, w = epoch.vehicles[v], epoch.work[v]
         if w.mode == UNDECIDED:
             w.mode = NONE
             vehicle.unbounded = vehicle.unbounded or vehicle.initialised
-            stand(epoch.parameters[0], w, epoch.state.growth[v])
+            stand(epoch.parameters[0], w, vehicle)
 
 
-@jit(borrows=True)
+@jit
 def move(vehicle: Any, east: float, north: float) -> None:
     """Move the position and the backup solution [m]."""
     vehicle.position[0] += east
@@ -104,12 +103,12 @@ def move(vehicle: Any, east: float, north: float) -> None:
     vehicle.backup.position[1] += north
 
 
-@jit(borrows=True)
-def stand(par: Any, w: Any, growth: Records) -> None:
+@jit
+def stand(par: Any, w: Any, vehicle: Any) -> None:
     """An epoch at rest, of both dead reckonings."""
     creep = par.dt * par.odometer.still_speed
-    for k in range(growth.shape[0]):
-        g = growth[k]
+    for k in range(2):
+        g = vehicle.growth[k]
         step_still(w.step, g)
         g.cv_e += creep * w.sin_h
         g.cv_n += creep * w.cos_h

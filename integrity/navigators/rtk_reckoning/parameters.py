@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.records import Records, one_record
-from lanebound.integrity.core.simd_kernel import padded
 from lanebound.integrity.monitoring.alerts import alert_parameters
 from lanebound.integrity.monitoring.detection_kernel import Thresholds
 from lanebound.integrity.monitoring.exclusion import fde_parameters, fde_thresholds
@@ -144,7 +143,6 @@ def epoch_tables(c: RtkReckoningConfig, system: NDArray[np.int64]) -> rk.Tables:
     wavelength = np.ascontiguousarray(WAVELENGTH_M[:, list(c.gnss.bands)])
     return rk.Tables(
         satellite_table(system, wavelength, FIXABLE[system], c.risk),
-        np.ascontiguousarray(system, dtype=np.int64),
         mode_priors(system, c.risk),
         case_table(c.cases, c.risk, spent),
         *separation_thresholds(c, len(system)),
@@ -162,9 +160,8 @@ def satellite_table(
 
 
 def mode_priors(system: NDArray[np.int64], risk: RiskConfig) -> NDArray[np.float64]:
-    """Fault probability of each fault mode of Doppler (W,): satellites, systems, zeros up to whole vectors."""
-    modes = np.concatenate([risk.priors()[0][system], risk.doppler_priors()[: int(system.max(initial=-1)) + 1]])
-    return np.pad(modes, (0, padded(modes.size) - modes.size))
+    """Fault probability of each fault mode of Doppler (W,): satellites, systems, in this order."""
+    return np.concatenate([risk.priors()[0][system], risk.doppler_priors()[: int(system.max(initial=-1)) + 1]])
 
 
 def case_table(cases: tuple[PlCase, ...], risk: RiskConfig, spent: float) -> Records:
@@ -185,12 +182,14 @@ def _form(case: PlCase) -> int:
     return rk.MULTI_HYPOTHESIS if case.form is LevelForm.ROOT else rk.CLOSED
 
 
-def separation_thresholds(c: RtkReckoningConfig, satellites: int) -> tuple[Thresholds, Thresholds, Array]:
-    """Thresholds of the tests; those of the same tests at ``risk.false_alarm``, which the levels count on; and S1's.
+def separation_thresholds(c: RtkReckoningConfig, satellites: int) -> tuple[Thresholds, Array]:
+    """Thresholds of the tests, and the factors of the same tests at ``risk.false_alarm``, which the levels count on.
 
     Tests of a larger ``fde.alpha`` have lower thresholds, so the levels hold for them too.
     """
     systems = c.risk.monitors_constellations
     counted = fde_thresholds(c.tests.replace(alpha=c.risk.false_alarm), satellites, systems)
-    published = false_alarm_factor(c.risk.false_alarm, np.arange(counted.local.size), Variant.PUBLISHED)
-    return fde_thresholds(c.tests, satellites, systems), counted, np.repeat(published[:, None], 2, axis=1)
+    tests = fde_thresholds(c.tests, satellites, systems)
+    published = false_alarm_factor(c.risk.false_alarm, np.arange(counted.limits.size), Variant.PUBLISHED)
+    tests.limits["counted"], tests.limits["published"] = counted.limits["overall"], published[:, None]
+    return tests, counted.factor

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring.alerts_kernel import ALERT, ALERT_RULES
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import STEP
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH, STEP
 from lanebound.integrity.monitoring.detection_kernel import FDE_RULES, Thresholds
-from lanebound.integrity.monitoring.doppler_separation_kernel import Influences, Separations
+from lanebound.integrity.monitoring.doppler_separation_kernel import INFLUENCE, SEPARATION
 from lanebound.integrity.monitoring.heading_doubt_kernel import HEADING_DOUBT
-from lanebound.integrity.monitoring.heading_separation_kernel import SPREAD, Courses
+from lanebound.integrity.monitoring.heading_separation_kernel import COURSE, SPREAD
 from lanebound.integrity.monitoring.jump_kernel import JUMP
-from lanebound.integrity.positioning.drift_watch_kernel import DRIFT_RULES, DriftWatch
-from lanebound.integrity.positioning.float_filter_kernel import Filtered
+from lanebound.integrity.positioning.drift_watch_kernel import DRIFT, DRIFT_RULES
+from lanebound.integrity.positioning.float_filter_kernel import FILTER_ROW, Filters
 from lanebound.integrity.positioning.heading_kernel import CALIBRATION, HEADING
 from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
 from lanebound.integrity.positioning.odometer_watch_kernel import ODOMETER_WATCH, WATCH_LIMITS
@@ -26,15 +26,14 @@ from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES, SLIP_W
 
 __all__ = [
     "CASE",
+    "FAULT",
+    "MARK",
+    "OUT",
     "PARAMETERS",
     "START",
     "VEHICLE",
     "WORK",
     "Epoch",
-    "EpochInputs",
-    "Lasting",
-    "Measured",
-    "Outputs",
     "Own",
     "State",
     "Tables",
@@ -134,18 +133,16 @@ CASE = record(
 class Tables(NamedTuple):
     """Parameters in arrays.
 
-    satellites (S,) of SATELLITE; system (S,) of each; prior (W,) of each fault mode of Doppler, satellites first, then
-    systems; cases (R,) of CASE, the operative one first; thresholds of the fault tests; k_fa those that the levels
-    count on, of the same tests; k_published (C, 2) S1's factor by the number of fault modes.
+    satellites (S,) of SATELLITE; prior (M,) of each fault mode of Doppler, satellites first, then systems; cases (R,)
+    of CASE, the operative one first; thresholds of the fault tests; counted (N + 1, K) the factors that the levels
+    count on, of the same tests, as ``Thresholds.factor``.
     """
 
     satellites: Records
-    system: Ints
     prior: Array
     cases: Records
     thresholds: Thresholds
-    k_fa: Thresholds
-    k_published: Array
+    counted: Array
 
 
 # State
@@ -178,6 +175,9 @@ VEHICLE = record(
     jump=(JUMP, "jump monitor"),
     watch=(ODOMETER_WATCH, "odometer watch"),
     alert=(ALERT, "alert"),
+    growth=(GROWTH, (2,), "of the errors of dead reckoning, LATEST and BACKUP"),
+    drift=(DRIFT, "drift watch"),
+    filter=(FILTER_ROW, "filter of the float ambiguities"),
 )
 """What lasts of a vehicle from epoch to epoch."""
 
@@ -192,53 +192,30 @@ START = record(
 """What the last RTK position left to the levels of one case."""
 
 
+FAULT = record(
+    now=(INFLUENCE, "on the velocity of this epoch"),
+    last=(INFLUENCE, "on the velocity in which the last epoch ended"),
+    course=(COURSE, "on the heading"),
+    latest=(SEPARATION, "of the position since the last RTK position"),
+    backup=(SEPARATION, "of the backup solution"),
+)
+"""What the fault of one satellite or system would have done."""
+
+
 class State(NamedTuple):
     """What lasts of B vehicles.
 
-    vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; filtered: filters of the float ambiguities; growth (B, 2)
-    of GROWTH and starts (B, 2, R) of START, for LATEST and BACKUP, whose separations are ``latest`` and ``backup``;
-    last_influences and influences of the velocities at the beginning and at the end of the epoch; courses; drift
-    watches. Arrays of fault modes are (B, W).
+    vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; faults (B, M) of FAULT; starts (B, 2, R) of START, for
+    LATEST and BACKUP; anchors (B, A) of ANCHOR, of the drift watch; filters of the float ambiguities, None where
+    they come from single epochs.
     """
 
     vehicles: Records
     ambiguities: Records
-    filtered: Filtered
-    growth: Records
+    faults: Records
     starts: Records
-    last_influences: Influences
-    influences: Influences
-    latest: Separations
-    backup: Separations
-    courses: Courses
-    drift: DriftWatch
-
-
-# Measurements
-
-
-class Measured(NamedTuple):
-    """Measurements of B vehicles, as in :class:`~lanebound.integrity.sensors.instruments.Measurements`.
-
-    los (K, S, 3) and the row ``sight`` (B,) that each vehicle uses; tracked, cn0, range_rate, lock_lost (B, S); code,
-    phase (B, S, 2); age (B,) of the corrections; turn, delta_v (B, 3); speed (B,). Of a fault: integer_error (B, S, 2)
-    [cycles]; next_best (B, 2) rank of the wrong integers that are accepted, 0 for none, and azimuth of their error.
-    """
-
-    los: Array
-    sight: Ints
-    tracked: Bools
-    cn0: Array
-    code: Array
-    phase: Array
-    range_rate: Array
-    lock_lost: Bools
-    age: Array
-    turn: Array
-    delta_v: Array
-    speed: Array
-    integer_error: Ints
-    next_best: Array
+    anchors: Records
+    filters: Filters | None
 
 
 # Work and outputs
@@ -298,46 +275,37 @@ WORK = record(
 """What stages hand on to later stages of the same epoch."""
 
 
-class Work(NamedTuple):
-    """Work of B vehicles.
+MARK = record(
+    quality="variance factor of any use [-]",
+    factor="the same in RTK, UNUSED of those that are not used [-]",
+    used=("?", "in RTK"),
+    phase_ok=("?", "the carrier is locked on every band"),
+)
+"""What is found of a satellite's signal in an epoch."""
 
-    vehicles (B,) of WORK; quality, factor (B, S) variance factors of a satellite, of any use and in RTK; used, phase_ok
-    (B, S): used in RTK, carrier locked on every band; fixed_levels (B, R, 2) [m] of the RTK position, else zeros.
-    """
-
-    vehicles: Records
-    quality: Array
-    factor: Array
-    used: Bools
-    phase_ok: Bools
-    fixed_levels: Array
-
-
-class Outputs(NamedTuple):
-    """The arrays of a :class:`~lanebound.integrity.navigators.solution.Solution`, with levels (B, R, 2)."""
-
-    position: Array
-    heading: Array
-    velocity: Array
-    covariance: Array
-    sigma_at: Array
-    sigma_ct: Array
-    levels: Array
-    mode: Ints
-    rtk: Ints
-    alert: Bools
-    available: Bools
-    reason: Ints
-    hdop: Array
-    satellites: Ints
-    satellites_doppler: Ints
-    excluded: Ints
-    since_rtk: Array
-    since_calibration: Array
-    wrong: Array
-    held: Bools
-    difference: Array
-    sdop: Array
+OUT = record(
+    position=("f8", (2,), "East, North [m]"),
+    heading="[rad]",
+    velocity=("f8", (2,), "East, North [m/s]"),
+    covariance=("f8", (2, 2), "of the position [m^2]"),
+    sigma_at="[m]",
+    sigma_ct="[m]",
+    mode=("i8", "code of Mode"),
+    rtk=("i8", "code of RtkStatus"),
+    alert=("?", "an alert is on"),
+    available=("?", "no level exceeds its limit"),
+    reason=("i8", "code of AlertReason"),
+    hdop="[-]",
+    satellites=("i8", "in the RTK position"),
+    satellites_doppler=("i8", "in the velocity"),
+    excluded=("i8", "by fault detection"),
+    since_rtk="[s]",
+    since_calibration="[s]",
+    wrong="probability that the held integers are wrong [-]",
+    difference=("f8", (2,), "RTK's position less the one reckoned while RTK is not believed, East, North [m]"),
+    sdop="[-]",
+)
+"""What a :class:`~lanebound.integrity.navigators.solution.Solution` takes of a vehicle."""
 
 
 class Own(NamedTuple):
@@ -351,27 +319,25 @@ class Own(NamedTuple):
 
 
 class Epoch(NamedTuple):
-    """One epoch of a batch: what every stage ``stage(first, last, epoch)`` takes. parameters (1,) of PARAMETERS."""
+    """One epoch of B vehicles: what every stage ``stage(first, last, epoch)`` takes.
+
+    parameters (1,) of PARAMETERS and tables; of :class:`State` all fields; signals (B, S) of OBSERVED_SIGNAL and
+    observed (B,) of OBSERVED_VEHICLE, what is measured; work (B,) of WORK, marks (B, S) of MARK and fixed_levels
+    (B, R, 2) [m] of the RTK position, zeros without one; out (B,) of OUT and levels (B, R, 2) [m].
+    """
 
     parameters: Records
     tables: Tables
-    state: State
-    work: Work
-    out: Outputs
-    measured: Measured
-
-
-class Lasting(NamedTuple):
-    """The fields of an Epoch that last."""
-
-    parameters: Records
-    tables: Tables
-    state: State
-    work: Work
-    out: Outputs
-
-
-class EpochInputs(NamedTuple):
-    """The fields of an Epoch that are of one epoch alone."""
-
-    measured: Measured
+    vehicles: Records
+    ambiguities: Records
+    faults: Records
+    starts: Records
+    anchors: Records
+    filters: Filters | None
+    signals: Records
+    observed: Records
+    work: Records
+    marks: Records
+    fixed_levels: Array
+    out: Records
+    levels: Array

@@ -1,4 +1,4 @@
-"""The stages of an epoch as one callable: compiled chains, and between them stages of modes and monitors from outside.
+"""Where modes, monitors and services attach to an epoch, and how their stages are called.
 
 A stage of this package is ``stage(first, last, epoch)``. A stage from outside is ``stage(first, last, epoch, own)``,
 compiled or plain Python, where ``own`` (:class:`~.records_kernel.Own`) holds its code and its own state.
@@ -6,26 +6,39 @@ compiled or plain Python, where ``own`` (:class:`~.records_kernel.Own`) holds it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import groupby
+from enum import Enum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.core.bundle_kernel import Bundle
-from lanebound.integrity.core.chain_kernel import Chain
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records, record
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, EpochInputs, Own
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, Own
 
-__all__ = ["STATELESS", "OutsideStage", "SeparateStage", "Stage", "StageList"]
+__all__ = ["STATELESS", "OutsideStage", "Point", "SeparateStage", "Stage"]
 
 Array = NDArray[np.float64]
 Stage = Callable[..., None]
 STATELESS = np.zeros(1, record(nothing="not used"))
 """State of a mode or monitor that has none."""
+
+
+class Point(Enum):
+    """Where in an epoch stages from outside run, in this order."""
+
+    MEASURED = "before anything is estimated: satellites may be excluded"
+    VELOCITY = "the Doppler velocity is found and tested"
+    FIX = "the RTK position is found and tested"
+    ESTIMATED = "before the position moves: Doppler velocity or RTK position may be refused"
+    MOVED = "after a positioning mode has moved the position"
+    OFFERED = "the levels of dead reckoning are known: another position may be offered in place of RTK's"
+    JUDGED = "the position of RTK, or the one offered, is accepted or refused"
+    TAKEN = "an accepted position has been taken"
+    BOUNDED = "after all protection levels: they may be raised, and alerts too"
+    REPORTED = "the solution is filled"
 
 
 class SeparateStage:
@@ -56,7 +69,7 @@ class OutsideStage(SeparateStage):
         InputError
             A protection level is lower than before, or NaN, or raised where levels are not final.
         """
-        levels, fixed = epoch.out.levels[first:last], epoch.work.fixed_levels[first:last]
+        levels, fixed = epoch.levels[first:last], epoch.fixed_levels[first:last]
         before, fixed_before = levels.copy(), fixed.copy()
         self.function(first, last, epoch, Own(self.code, states[self.name]))
         self._refuse(~(levels >= before), before, levels, "change levels by raise_level")
@@ -72,34 +85,3 @@ class OutsideStage(SeparateStage):
                 f"a protection level after {self.name!r} must be that before, {before[v, case, axis]:.3f} m, or more "
                 f"at Point.BOUNDED, got {after[v, case, axis]:.3f} m: {remedy}"
             )
-
-
-class StageList:
-    """Stages called in their order: ``stages(first, last, lasting, inputs, states)``.
-
-    ``lasting`` is the bundle of the fields of an Epoch that last, ``inputs`` holds the others; states (B,) of records
-    by name.
-    """
-
-    def __init__(self, stages: Sequence[Stage | SeparateStage]) -> None:
-        self._stages = tuple(stages)
-        self._parts: list[Any] = []
-        for outside, group in groupby(stages, key=lambda stage: isinstance(stage, SeparateStage)):
-            members = list(group)
-            self._parts += members if outside else [Chain(Epoch, *members)]
-
-    def __call__(self, first: int, last: int, lasting: Bundle, inputs: EpochInputs, states: Mapping[str, Any]) -> None:
-        for part in self._parts:
-            if isinstance(part, SeparateStage):
-                part(first, last, Epoch._make((*lasting.values, *inputs)), states)
-            else:
-                part(first, last, lasting, inputs)
-
-    def compile_ahead(self, make: Callable[[], Epoch]) -> None:
-        """Begin to compile in a second process if nothing is cached; ``make`` returns data of the expected types."""
-        for part in self._parts:
-            if isinstance(part, Chain):
-                part.compile_ahead(make)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return StageList, (self._stages,)

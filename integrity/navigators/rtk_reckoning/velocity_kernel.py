@@ -1,31 +1,29 @@
-"""Stage 1: velocity from the Doppler range rates, with fault detection and exclusion, and its separations."""
+"""Velocity by the Doppler range rates, with fault detection and exclusion, and what each fault mode does to it."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.small_matrix_kernel import hdop_of
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, NO_REDUNDANCY, detect_and_exclude
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
     AFFORDABLE,
+    CENTRED,
+    LOST,
+    SUMS,
     centre_rows,
-    centred_scratch,
-    clear_modes,
-    exposure,
     find_satellite_influences,
     find_system_influences,
-    influences_of,
-    separations_of,
+    forget_influence,
 )
-from lanebound.integrity.monitoring.heading_separation_kernel import courses_of, raise_states
-from lanebound.integrity.monitoring.jump_kernel import begin_epoch, suspects_signals
+from lanebound.integrity.monitoring.heading_separation_kernel import state_of
+from lanebound.integrity.monitoring.jump_kernel import suspects_signals
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import later_by
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
-from lanebound.integrity.positioning.rows_kernel import Rows
-from lanebound.integrity.positioning.rtk_kernel import select, weigh
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Array, Epoch
+from lanebound.integrity.positioning.rows_kernel import ROW
+from lanebound.integrity.positioning.rtk_kernel import UNUSED, is_strong, weigh
 
 __all__ = ["find_velocity"]
 
@@ -33,43 +31,51 @@ __all__ = ["find_velocity"]
 @jit
 def find_velocity(first: int, last: int, epoch: Epoch) -> None:
     """Velocity and clock drift by least squares of the range rates (df = m - 4), which may be used when ``checked``."""
-    par, state, measured, work = epoch.parameters[0], epoch.state, epoch.measured, epoch.work
-    satellites, thresholds, operative = epoch.tables.satellites, epoch.tables.thresholds, epoch.tables.cases[0]
-    n = satellites.shape[0]
-    clock, variance, used = np.zeros(n, dtype=np.int64), np.empty(n), np.empty(n, dtype=np.bool_)
-    system, prior, centred = epoch.tables.system, epoch.tables.prior, centred_scratch(n)
-    modes = np.empty(prior.size)
+    par, tables = epoch.parameters[0], epoch.tables
+    satellites, operative, n = tables.satellites, tables.cases[0], tables.satellites.shape[0]
+    rows, centred, sums = np.zeros(n, ROW), np.zeros(n, CENTRED), np.zeros(MAX_GROUPS + 1, SUMS)
     for v in range(first, last):
-        vehicle, w, los = state.vehicles[v], work.vehicles[v], measured.los[measured.sight[v]]
-        epoch.out.levels[v, :, :] = math.inf
-        begin_epoch(par.dt, vehicle.jump)
-        w.suspect = suspects_signals(vehicle.jump)
-        vehicle.since_rtk += par.dt
-        vehicle.since_calibration += par.dt
-        vehicle.backup.age += par.dt
-        tracked, cn0, quality = measured.tracked[v], measured.cn0[v], work.quality[v]
-        weigh(los, tracked, cn0, par.rtk.cn0_knee, quality)
-        select(los, tracked, cn0, quality, par.doppler.sin_mask, par.doppler.cn0_min, variance, used)
+        vehicle, w, signals, marks = epoch.vehicles[v], epoch.work[v], epoch.signals[v], epoch.marks[v]
+        faults = epoch.faults[v]
+        weigh(signals, par.rtk.cn0_knee, marks)
         for s in range(n):
-            variance[s] *= par.doppler.sigma**2
-        rows = Rows(los, clock, variance, measured.range_rate[v], used)
+            row, signal = rows[s], signals[s]
+            row.group, row.system, row.y = 0, satellites[s].system, signal.range_rate
+            row.used = is_strong(signal, par.doppler.sin_mask, par.doppler.cn0_min)
+            row.variance = (marks[s].quality if row.used else UNUSED) * par.doppler.sigma**2
+            for k in range(3):
+                row.e[k] = signal.e[k]
         outcome, _, _, _, w.excluded_doppler = detect_and_exclude(
-            rows, system, vehicle.heading.angle, thresholds, par.fde, w.velocity, w.q
+            rows, vehicle.heading.angle, tables.thresholds, par.fde, w.velocity, w.q
         )
         w.satellites_doppler = 0
         for s in range(n):
-            w.satellites_doppler += used[s]
-        w.hdop_doppler = hdop_of(los, clock, used)
+            w.satellites_doppler += rows[s].used
+        w.hdop_doppler = hdop_of(rows)
+        # Without redundancy there is no test: the level of the velocity then rests on the priors alone.
         w.solved = outcome <= EXCLUDED or outcome == NO_REDUNDANCY
-        influences = influences_of(state.influences, v)
         if w.solved:
-            centre_rows(rows, w.velocity, centred)
-            find_satellite_influences(w.q, centred, influences)
-            find_system_influences(w.q, system, prior, par.risk.spendable, centred, influences)
+            centre_rows(rows, w.velocity, centred, sums)
+            find_satellite_influences(w.q, centred, sums, faults)
+            find_system_influences(w.q, satellites, tables.prior, par.risk.spendable, centred, sums, faults)
         else:
-            clear_modes(influences)
-        raise_states(influences, separations_of(state.latest, v), courses_of(state.courses, v), modes)
-        _, _, lost = exposure(prior, modes)
+            for k in range(faults.shape[0]):
+                forget_influence(faults[k].now)
+        w.suspect = suspects_signals(vehicle.jump)
         w.later = later_by(vehicle.since_rtk, vehicle.memory_s, par.risk.fault_duration)
-        affordable = w.later * lost <= AFFORDABLE * (operative.budget[0] + operative.budget[1])
+        # The priors of modes that no velocity can do without must leave enough of the risk for a level.
+        affordable = w.later * lost_prior(tables.prior, faults) <= AFFORDABLE * (
+            operative.budget[0] + operative.budget[1]
+        )
         w.checked = w.solved and not w.suspect and (par.risk.published or affordable)
+
+
+@jit
+def lost_prior(prior: Array, faults: Records) -> float:
+    """Sum of the priors (M,) of modes that are LOST in velocity, position since the fix or heading."""
+    total = 0.0
+    for k in range(faults.shape[0]):
+        fault = faults[k]
+        if max(fault.now.state, fault.latest.state, state_of(fault.course)) == LOST:
+            total += prior[k]
+    return total

@@ -56,16 +56,16 @@ def fill_code_ranges(
     rules, par = service.rules[0], service.parameters[0]
     for v in range(first, last):
         state.since[v] += par.dt
-        ranges.consistent[v], ranges.few[v], ranges.excluded[v] = False, False, 0
-        ranges.due[v] = not state.since[v] < rules.interval - 0.5 * par.dt
-        if not ranges.due[v] and not rules.smoothing > 0.0:
+        ranges.work[v].consistent, ranges.work[v].few, ranges.work[v].excluded = False, False, 0
+        ranges.work[v].due = not state.since[v] < rules.interval - 0.5 * par.dt
+        if not ranges.work[v].due and not rules.smoothing > 0.0:
             continue
         enough = fill_vehicle(v, epoch, service, inputs, state, ranges, carrier) >= rules.least
-        in_time = inputs.age[v] <= rules.max_age and inputs.zenith_age[v] <= rules.zenith_max_age
-        ranges.due[v] = ranges.due[v] and enough and in_time
-        if ranges.due[v]:
+        in_time = inputs.vehicles[v].age <= rules.max_age and inputs.vehicles[v].zenith_age <= rules.zenith_max_age
+        ranges.work[v].due = ranges.work[v].due and enough and in_time
+        if ranges.work[v].due:
             state.since[v] = 0.0
-        if ranges.due[v] and carrier.rules[0].zenith:
+        if ranges.work[v].due and carrier.rules[0].zenith:
             predict_zenith(v, epoch, service, ranges, carrier)
 
 
@@ -82,50 +82,56 @@ def fill_vehicle(
         service.parameters[0].rtk.reflections,
         service.rules[0].errors,
     )
-    measured, quality, los = epoch.measured, epoch.work.quality[v], epoch.measured.los[epoch.measured.sight[v]]
-    decay = math.exp(-par.dt / multipath_time(budget, measured.speed[v], par.odometer.still_speed))
-    for s in range(service.allowed.shape[0]):
-        ranges.used[v, s], hatch = False, state.hatch[v, s]
-        if not (measured.tracked[v, s] and service.allowed[s] and quality[s] < UNUSED):
+    vehicle, speed = inputs.vehicles[v], epoch.observed[v].speed
+    decay = math.exp(-par.dt / multipath_time(budget, speed, par.odometer.still_speed))
+    for s in range(service.satellites.shape[0]):
+        row, part, hatch, own = ranges.rows[v, s], ranges.parts[v, s], state.hatch[v, s], service.satellites[s]
+        signal, given, quality = epoch.signals[v, s], inputs.signals[v, s], epoch.marks[v, s].quality
+        row.used = False
+        if not (signal.tracked and own.allowed and quality < UNUSED):
             hatch.count, hatch.free = 0.0, 0.0
             continue
-        sine, cn0 = los[s, 2], measured.cn0[v, s]
+        sine, cn0 = signal.e[2], signal.cn0
         odds = odds_of(reflections, sine, cn0)
-        code, phase, there, locked = combine(inputs.code[v, s], inputs.phase[v, s], service.share[s])
-        noise = budget.phase * math.sqrt(quality[s])
-        locked = locked and not measured.lock_lost[v, s] and odds < reflections.single
+        code, phase, there, locked = combine(given.code, given.phase, own.share)
+        noise = budget.phase * math.sqrt(quality)
+        locked = locked and not signal.lock_lost and odds < reflections.single
         white, lasting, of_carrier = 1.0, 1.0, 0.0
         if rules.smoothing > 0.0:
-            free = inputs.phase[v, s, 0] - inputs.phase[v, s, 1] if locked and rules.combined else 0.0
+            free = given.phase[0] - given.phase[1] if locked and rules.combined else 0.0
             locked = locked and not slips(free, 2.0 * FREE_SIGMAS * noise, hatch)
-            gate = GATE_SIGMAS * service.noise[s] * math.sqrt(receiver_variance(budget, quality[s], 1.0, 1.0))
+            gate = GATE_SIGMAS * own.noise * math.sqrt(receiver_variance(budget, quality, 1.0, 1.0))
             diverges = 0.0 if rules.combined else 2.0 * budget.iono_rate * ionosphere_slant(sine) * par.dt
-            most = largest_mean(rules.smoothing, diverges, receiver_variance(budget, quality[s], 1.0, 1.0))
+            most = largest_mean(rules.smoothing, diverges, receiver_variance(budget, quality, 1.0, 1.0))
             code = smooth(code, phase, locked, most, gate, decay, hatch)
             white, lasting, of_carrier = hatch.white, hatch.lasting, noise * noise + (diverges * hatch.age) ** 2
-        used = there and sine > rules.sin_mask and cn0 >= rules.cn0_min and inputs.declared[s] < math.inf
-        if not (used and math.isfinite(inputs.satellite[v, s] + inputs.zenith[v, s])):
+        used = there and sine > rules.sin_mask and cn0 >= rules.cn0_min and given.declared < math.inf
+        if not (used and math.isfinite(given.satellite + given.zenith)):
             continue
         count += 1
-        ranges.used[v, s], ranges.odds[v, s] = True, odds + par.risk.satellite_prior[service.tables.system[s]]
-        y = code - inputs.satellite[v, s]
-        variance = receiver_variance(budget, quality[s], white, lasting) + of_carrier
-        variance *= service.noise[s] ** 2
-        ranges.fast[v, s] = variance
-        variance += satellite_variance(budget, inputs.declared[s], min(inputs.age[v], rules.max_age))
+        row.used, row.system = True, service.tables.satellites[s].system
+        row.group = row.system
+        for k in range(3):
+            row.e[k] = signal.e[k]
+        part.odds = odds + par.risk.satellite_prior[row.system]
+        y = code - given.satellite
+        variance = receiver_variance(budget, quality, white, lasting) + of_carrier
+        variance *= own.noise**2
+        part.fast = variance
+        variance += satellite_variance(budget, given.declared, min(vehicle.age, rules.max_age))
         if not rules.combined:
             slant = ionosphere_slant(sine)
-            age = min(inputs.zenith_age[v], rules.zenith_max_age)
-            own, common = ionosphere_variance(budget, slant, inputs.zenith_declared, age)
-            y -= slant * inputs.zenith[v, s]
+            age = min(vehicle.zenith_age, rules.zenith_max_age)
+            own, common = ionosphere_variance(budget, slant, vehicle.zenith_declared, age)
+            y -= slant * given.zenith
             variance += own + common * common
         if not carrier.rules[0].zenith:
             variance += troposphere_variance(budget, troposphere_slant(sine))
-        ranges.y[v, s], ranges.variance[v, s] = y, variance
+        row.y, row.variance = y, variance
     return count
 
 
-@jit(borrows=True)
+@jit
 def largest_mean(most: float, diverges: float, variance: float) -> float:
     """Epochs in the mean of code less carrier: at most those after which the ionosphere lags by 1 sigma.
 
@@ -136,7 +142,7 @@ def largest_mean(most: float, diverges: float, variance: float) -> float:
     return max(min(most, math.sqrt(variance) / diverges), 1.0)
 
 
-@jit(borrows=True)
+@jit
 def combine(code: Any, phase: Any, share: Any) -> tuple[float, float, bool, bool]:
     """Code and phase of a satellite (2,) combined by the shares of the bands, and whether each of them is there."""
     y, carrier, there, locked = 0.0, 0.0, True, True

@@ -10,13 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.records import Records, one_record
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH
-from lanebound.integrity.monitoring.doppler_separation_kernel import Separations
+from lanebound.integrity.monitoring.doppler_separation_kernel import SEPARATION
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import START, Epoch
 from lanebound.integrity.navigators.rtk_reckoning.stages import SeparateStage
 from lanebound.integrity.navigators.services.config import CodeServiceConfig, CouplingConfig
 from lanebound.integrity.navigators.services.coupling_kernel import begin_coupling, lengthen, settle
-from lanebound.integrity.navigators.services.coupling_records_kernel import COUPLED, COUPLING_RULES, EXTRA, Coupling
+from lanebound.integrity.navigators.services.coupling_records_kernel import (
+    COUPLED,
+    COUPLING_RULES,
+    EXTRA,
+    PROPOSAL,
+    Coupling,
+)
 
 __all__ = [
     "BeginCouplingStage",
@@ -73,16 +78,13 @@ def initial_coupling(batch: int, cases: int) -> dict[str, NDArray[Any]]:
 
 
 def proposals(rules: Records, parameters: Records, lasting: Mapping[str, Any], modes: int) -> Coupling:
-    """A coupling of an epoch; ``modes`` is the width of the arrays of fault modes."""
+    """A coupling of an epoch; ``modes`` is the number of fault modes."""
     coupled, extra = lasting[LASTING], lasting[EXTRAS]
     batch, cases = extra.shape
-    separations = Separations(*(np.zeros((batch, modes)) for _ in Separations._fields))
     return Coupling(
-        rules=rules, parameters=parameters, coupled=coupled, extra=extra, proposal=np.zeros(batch, np.int64),
-        growth=np.zeros(batch, GROWTH),
-        starts=np.zeros((batch, cases), START), separations=separations, after=np.zeros(batch, COUPLED),
-        extra_after=np.zeros((batch, cases), EXTRA), by_doppler=np.zeros(batch, np.bool_),
-        separated=np.zeros(batch, np.bool_),
+        rules=rules, parameters=parameters, coupled=coupled, extra=extra, proposals=np.zeros(batch, PROPOSAL),
+        starts=np.zeros((batch, cases), START), separations=np.zeros((batch, modes), SEPARATION),
+        extra_after=np.zeros((batch, cases), EXTRA),
     )  # fmt: skip
 
 

@@ -28,11 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import remember_velocity, sigma_and_bias
-from lanebound.integrity.monitoring.doppler_separation_kernel import Separations, copy_modes, separations_of
 from lanebound.integrity.monitoring.protection_kernel import q_inverse
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import (
-    DeadReckoningState,
     along_axes,
     later_by,
     levels_since_fix,
@@ -73,11 +72,11 @@ def begin_coupling(first: int, last: int, epoch: Epoch, coupling: Coupling) -> N
     rules, dt = coupling.rules[0], epoch.parameters[0].dt
     for v in range(first, last):
         c = coupling.coupled[v]
-        coupling.proposal[v] = NO_PROPOSAL
+        coupling.proposals[v].kind = NO_PROPOSAL
         c.age += dt
-        if abs(epoch.measured.speed[v]) > epoch.parameters[0].odometer.still_speed:
-            c.since += dt * min(1.0, abs(epoch.measured.speed[v]) / rules.creep)
-        if not epoch.state.vehicles[v].initialised:
+        if abs(epoch.observed[v].speed) > epoch.parameters[0].odometer.still_speed:
+            c.since += dt * min(1.0, abs(epoch.observed[v].speed) / rules.creep)
+        if not epoch.vehicles[v].initialised:
             c.active = False
 
 
@@ -87,41 +86,42 @@ def lengthen(first: int, last: int, epoch: Epoch, coupling: Coupling) -> None:
     duration = epoch.parameters[0].risk.fault_duration
     for v in range(first, last):
         if coupling.coupled[v].active:
-            later = later_by(coupling.coupled[v].age, epoch.state.vehicles[v].memory_s, duration)
-            epoch.work.vehicles[v].later = max(epoch.work.vehicles[v].later, later)
+            later = later_by(coupling.coupled[v].age, epoch.vehicles[v].memory_s, duration)
+            epoch.work[v].later = max(epoch.work[v].later, later)
 
 
 @jit
 def settle(first: int, last: int, epoch: Epoch, coupling: Coupling) -> None:
     """After the position was taken: growth, starts and separations of a coupled position in place of a restart."""
-    state = epoch.state
     for v in range(first, last):
-        vehicle, w, proposal = state.vehicles[v], epoch.work.vehicles[v], coupling.proposal[v]
+        vehicle, w, proposal = epoch.vehicles[v], epoch.work[v], coupling.proposals[v]
+        starts, faults = epoch.starts[v], epoch.faults[v]
         if not w.accepted:
             continue
-        if proposal == NO_PROPOSAL:
+        if proposal.kind == NO_PROPOSAL:
             coupling.coupled[v].active = False
             continue
-        coupling.coupled[v] = coupling.after[v]
+        coupling.coupled[v] = proposal.after
         for r in range(coupling.extra.shape[1]):
             coupling.extra[v, r] = coupling.extra_after[v, r]
-        if proposal != WITH_RECKONED:
+        if proposal.kind != WITH_RECKONED:
             continue
-        state.growth[v, LATEST] = coupling.growth[v]
-        for r in range(state.starts.shape[2]):
-            state.starts[v, LATEST, r] = coupling.starts[v, r]
-        copy_modes(separations_of(coupling.separations, v), separations_of(state.latest, v))
-        vehicle.separated = coupling.separated[v]
-        if w.measured and not coupling.by_doppler[v]:
-            remember_velocity(w.q[0, 0], w.q[0, 1], w.q[1, 1], state.growth[v, LATEST])
-        copy_reckoning(v, state, LATEST, BACKUP)
+        vehicle.growth[LATEST] = proposal.growth
+        for r in range(starts.shape[1]):
+            starts[LATEST, r] = coupling.starts[v, r]
+        for k in range(faults.shape[0]):
+            faults[k].latest = coupling.separations[v, k]
+        vehicle.separated = proposal.separated
+        if w.measured and not proposal.by_doppler:
+            remember_velocity(w.q[0, 0], w.q[0, 1], w.q[1, 1], vehicle.growth[LATEST])
+        copy_reckoning(LATEST, BACKUP, vehicle, starts, faults)
 
 
 @jit
 def propose_whole(v: int, rules: Any, part: Part, w: Any, coupling: Coupling) -> None:
     """The position of a service is offered as it is; what its errors are when it is reckoned on."""
-    after = coupling.after[v]
-    coupling.proposal[v] = WHOLE
+    after = coupling.proposals[v].after
+    coupling.proposals[v].kind = WHOLE
     after.active, after.since, after.age = True, 0.0, 0.0
     after.any_ee, after.any_en, after.any_nn = part.fast[0], part.fast[1], part.fast[2]
     after.white_ee, after.white_en, after.white_nn = (
@@ -139,22 +139,22 @@ def propose_whole(v: int, rules: Any, part: Part, w: Any, coupling: Coupling) ->
 @jit
 def begin_from(v: int, epoch: Epoch, coupling: Coupling) -> None:
     """Code errors of a position that no service has given: none; what its start left is a bound of its own."""
-    c, starts = coupling.coupled[v], epoch.state.starts
+    c, starts = coupling.coupled[v], epoch.starts
     c.any_ee, c.any_en, c.any_nn, c.white_ee, c.white_en, c.white_nn = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     c.slow_ee, c.slow_en, c.slow_nn, c.held_ee, c.held_en, c.held_nn = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    c.age = epoch.state.vehicles[v].since_rtk
+    c.age = epoch.vehicles[v].since_rtk
     for r in range(coupling.extra.shape[1]):
         start, extra = starts[v, LATEST, r], coupling.extra[v, r]
         extra.first, extra.second = start.bias_first, start.bias_second
 
 
-@jit(borrows=True)
+@jit
 def on_axis(ee: float, en: float, nn: float, s: float, c: float) -> float:
     """Variance on the axis (s, c) of East and North."""
     return max(s * s * ee + 2.0 * s * c * en + c * c * nn, 0.0)
 
 
-@jit(borrows=True)
+@jit
 def rotated(a: Array, ee: float, en: float, nn: float) -> tuple[float, float, float]:
     """``A P A'`` of a covariance EE, EN, NN; a (2, 2)."""
     p, q = a[0, 0] * ee + a[0, 1] * en, a[0, 0] * en + a[0, 1] * nn
@@ -162,7 +162,7 @@ def rotated(a: Array, ee: float, en: float, nn: float) -> tuple[float, float, fl
     return p * a[0, 0] + q * a[0, 1], p * a[1, 0] + q * a[1, 1], r * a[1, 0] + s * a[1, 1]
 
 
-@jit(borrows=True)
+@jit
 def shares_of(one: float, other: float) -> tuple[float, float]:
     """Factors on two covariances of these traces whose sum bounds that of x + y, whatever their correlation."""
     if not (one > 0.0 and other > 0.0):
@@ -180,8 +180,8 @@ def cost_of(
     a (2, 2); fast, slow (3,) of the share of the ranges; extra (2,) along and across [m]. Nothing of the measurements
     enters but separations. ``moved`` False: the position reckoned on by itself.
     """
-    w, g, c, e = epoch.work.vehicles[v], epoch.state.growth[v, LATEST], coupling.coupled[v], coupling.extra[v, 0]
-    start = epoch.state.starts[v, LATEST, 0]
+    w, g, c, e = epoch.work[v], epoch.vehicles[v].growth[LATEST], coupling.coupled[v], coupling.extra[v, 0]
+    start = epoch.starts[v, LATEST, 0]
     k, white, cost = epoch.tables.cases[0].k_dead, coupling.rules[0].white, 0.0
     _, _, b_at, b_ct = sigma_and_bias(w.sin_h, w.cos_h, False, g)
     for q in range(2):
@@ -203,14 +203,15 @@ def cost_of(
 @jit
 def propose(v: int, epoch: Epoch, service_cases: Any, coupling: Coupling, a: Array, part: Part, levels: Array) -> None:
     """The coupled position's growth, starts and separations, and its levels (R, 2) [m]; ``part`` holds its share."""
-    state, rules = epoch.state, coupling.rules[0]
-    vehicle, w, g = state.vehicles[v], epoch.work.vehicles[v], coupling.growth[v]
-    c, after = coupling.coupled[v], coupling.after[v]
-    coupling.proposal[v], coupling.by_doppler[v] = WITH_RECKONED, w.mode == DOPPLER
-    coupling.separated[v] = vehicle.separated
-    coupling.growth[v] = state.growth[v, LATEST]
-    separations = separations_of(coupling.separations, v)
-    copy_modes(separations_of(state.latest, v), separations)
+    rules, faults = coupling.rules[0], epoch.faults[v]
+    vehicle, w, g = epoch.vehicles[v], epoch.work[v], coupling.proposals[v].growth
+    c, after = coupling.coupled[v], coupling.proposals[v].after
+    coupling.proposals[v].kind, coupling.proposals[v].by_doppler = WITH_RECKONED, w.mode == DOPPLER
+    coupling.proposals[v].separated = vehicle.separated
+    coupling.proposals[v].growth = vehicle.growth[LATEST]
+    separations = coupling.separations[v]
+    for k in range(faults.shape[0]):
+        separations[k] = faults[k].latest
     transform(a, g, separations)
     after.active, after.since, after.age = True, 0.0, c.age
     old = rotated(a, c.any_ee, c.any_en, c.any_nn)
@@ -230,13 +231,13 @@ def propose(v: int, epoch: Epoch, service_cases: Any, coupling: Coupling, a: Arr
     after.held_ee += after.slow_ee
     after.held_en += after.slow_en
     after.held_nn += after.slow_nn
-    p = state.growth[v, LATEST]
+    p = vehicle.growth[LATEST]
     old = rotated(a, p.p_ee - c.held_ee, p.p_en - c.held_en, p.p_nn - c.held_nn)
     g.p_ee, g.p_en, g.p_nn = old[0] + after.held_ee, old[1] + after.held_en, old[2] + after.held_nn
     for r in range(levels.shape[0]):
         start_levels(v, r, epoch, service_cases, coupling, a, part)
-    reckoning = DeadReckoningState(g, coupling.starts[v], separations)
-    levels_since_fix(reckoning, epoch.tables, epoch.parameters[0].risk, w.sin_h, w.cos_h, w.later, levels)
+    risk = epoch.parameters[0].risk
+    levels_since_fix(g, coupling.starts[v], separations, epoch.tables, risk, w.sin_h, w.cos_h, w.later, levels)
 
 
 @jit
@@ -246,8 +247,8 @@ def start_levels(v: int, r: int, epoch: Epoch, service_cases: Any, coupling: Cou
     The risk of code faults is that of the service. K sigma has the rest: K of the whole risk is raised by a bound. The
     axes of the bounds follow the heading when it has turned by more than TURNED.
     """
-    case, w, after = epoch.tables.cases[r], epoch.work.vehicles[v], coupling.after[v]
-    start, before, e = coupling.starts[v, r], epoch.state.starts[v, LATEST, r], coupling.extra_after[v, r]
+    case, w, after = epoch.tables.cases[r], epoch.work[v], coupling.proposals[v].after
+    start, before, e = coupling.starts[v, r], epoch.starts[v, LATEST, r], coupling.extra_after[v, r]
     old, m = coupling.extra[v, r], np.empty((2, 2))
     if not part.extra[r, 0] + part.extra[r, 1] + old.first + old.second < math.inf:
         e.first, e.second, start.whole_first = math.inf, math.inf, math.inf
@@ -280,7 +281,7 @@ def start_levels(v: int, r: int, epoch: Epoch, service_cases: Any, coupling: Cou
     start.whole_second += abs(t_second) * whole[0] + abs(c_second) * whole[1]
 
 
-@jit(borrows=True)
+@jit
 def between_axes(a: Array, old: Any, new: Any, m: Array) -> None:
     """``F_new A F_old'`` (2, 2), F with the axes of a start as rows."""
     m[0, 0], m[1, 0] = along_axes(
@@ -292,7 +293,7 @@ def between_axes(a: Array, old: Any, new: Any, m: Array) -> None:
 
 
 @jit
-def transform(a: Array, g: Any, s: Separations) -> None:
+def transform(a: Array, g: Any, separations: Records) -> None:
     """Apply A (2, 2) to all parts of the position error in dead reckoning but its covariance."""
     xx, xy, yx, yy = a[0, 0], a[0, 1], a[1, 0], a[1, 1]
     size = math.sqrt(xx * xx + xy * xy + yx * yx + yy * yy) if xy != 0.0 or yx != 0.0 or xx != yy else abs(xx)
@@ -318,11 +319,12 @@ def transform(a: Array, g: Any, s: Separations) -> None:
     g.fs_e, g.fs_n = xx * g.fs_e + xy * g.fs_n, yx * g.fs_e + yy * g.fs_n
     g.f_ee, g.f_en, g.f_nn = rotated(a, g.f_ee, g.f_en, g.f_nn)
     g.l_s, g.apart_s = size * g.l_s, size * g.apart_s
-    for k in range(s.state.size):
-        s.d_e[k], s.d_n[k] = xx * s.d_e[k] + xy * s.d_n[k], yx * s.d_e[k] + yy * s.d_n[k]
-        s.ne_e[k], s.nn_e[k] = xx * s.ne_e[k] + xy * s.nn_e[k], yx * s.ne_e[k] + yy * s.nn_e[k]
-        s.ne_n[k], s.nn_n[k] = xx * s.ne_n[k] + xy * s.nn_n[k], yx * s.ne_n[k] + yy * s.nn_n[k]
-        s.s_ee[k], s.s_en[k], s.s_nn[k] = rotated(a, s.s_ee[k], s.s_en[k], s.s_nn[k])
+    for k in range(separations.shape[0]):
+        s = separations[k]
+        s.d_e, s.d_n = xx * s.d_e + xy * s.d_n, yx * s.d_e + yy * s.d_n
+        s.ne_e, s.nn_e = xx * s.ne_e + xy * s.nn_e, yx * s.ne_e + yy * s.nn_e
+        s.ne_n, s.nn_n = xx * s.ne_n + xy * s.nn_n, yx * s.ne_n + yy * s.nn_n
+        s.s_ee, s.s_en, s.s_nn = rotated(a, s.s_ee, s.s_en, s.s_nn)
 
 
 @jit

@@ -8,9 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.records import Records, record
-from lanebound.integrity.monitoring.doppler_separation_kernel import Separations
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH
 
-__all__ = ["COUPLED", "COUPLING_RULES", "EXTRA", "NO_PROPOSAL", "WHOLE", "WITH_RECKONED", "Coupling", "Part"]
+__all__ = [
+    "COUPLED",
+    "COUPLING_RULES",
+    "EXTRA",
+    "NO_PROPOSAL",
+    "PROPOSAL",
+    "WHOLE",
+    "WITH_RECKONED",
+    "Coupling",
+    "Part",
+]
 
 Array = NDArray[np.float64]
 
@@ -61,25 +71,29 @@ class Part(NamedTuple):
     extra: Array
 
 
+PROPOSAL = record(
+    kind=("i8", "NO_PROPOSAL, WHOLE or WITH_RECKONED"),
+    by_doppler=("?", "Doppler had moved the position"),
+    separated=("?", "separations had grown"),
+    growth=(GROWTH, "of the coupled position"),
+    after=(COUPLED, "code errors in it"),
+)
+"""What is offered of a vehicle in an epoch."""
+
+
 class Coupling(NamedTuple):
     """What lasts of B vehicles, and what is proposed in an epoch.
 
     rules (1,) of COUPLING_RULES and parameters (1,) of PARAMETERS, whose reflections leave fewer sets uncovered;
-    coupled (B,) of COUPLED and extra (B, R) of EXTRA; proposal (B,) of this epoch;
-    growth (B,) of GROWTH, starts (B, R) of START and separations (B, W) of it, with after (B,) of COUPLED and
-    extra_after (B, R) of EXTRA; by_doppler, separated (B,) whether Doppler had moved the position, and whether
-    separations had grown.
+    coupled (B,) of COUPLED and extra (B, R) of EXTRA; proposals (B,) of PROPOSAL with starts (B, R) of START,
+    separations (B, M) of SEPARATION and extra_after (B, R) of EXTRA.
     """
 
     rules: Records
     parameters: Records
     coupled: Records
     extra: Records
-    proposal: NDArray[np.int64]
-    growth: Records
+    proposals: Records
     starts: Records
-    separations: Separations
-    after: Records
+    separations: Records
     extra_after: Records
-    by_doppler: NDArray[np.bool_]
-    separated: NDArray[np.bool_]

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, detect_and_exclude
-from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.monitoring.jump_kernel import bounded, is_suspicious
 from lanebound.integrity.monitoring.reflection_modes_kernel import keep_likely
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
@@ -28,7 +28,6 @@ from lanebound.integrity.navigators.services.records_kernel import ServiceInputs
 from lanebound.integrity.navigators.services.zenith_kernel import CarrierTables, update_zenith
 from lanebound.integrity.positioning.codes_kernel import NO_CORRECTIONS, NONE
 from lanebound.integrity.positioning.geometry_kernel import SOLVED, find_geometry, solve
-from lanebound.integrity.positioning.rows_kernel import Rows
 
 __all__ = ["LEAST_ROWS", "check_ranges", "find_fix", "keep_likely", "offer", "pack", "position_of", "takes"]
 
@@ -46,23 +45,22 @@ def check_ranges(
     Vehicles that have an RTK position are tested only where there is a zenith delay to learn.
     """
     par, tables, learns = service.parameters[0], service.tables, carrier.rules[0].zenith
-    scratch = fixed_scratch(service.allowed.shape[0], par.rtk.reflections.sets)
+    scratch = fixed_scratch(service.satellites.shape[0], par.rtk.reflections.sets)
     position, q = np.empty(3), np.empty((3, 3))
     for v in range(first, last):
-        ranges.consistent[v], ranges.few[v] = False, False
-        fixed = epoch.work.vehicles[v].fixed.usable and ranges.offered[v] == 0
-        if not ranges.due[v] or (fixed and not learns):
+        ranges.work[v].consistent, ranges.work[v].few = False, False
+        fixed = epoch.work[v].fixed.usable and ranges.labels[v].offered == 0
+        if not ranges.work[v].due or (fixed and not learns):
             continue
-        los = epoch.measured.los[epoch.measured.sight[v]]
-        here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
-        if keep_likely(here.used, ranges.odds[v], 0.0, par.rtk.reflections, scratch.sets) < LEAST_ROWS:
-            ranges.few[v] = True
+        here, odds = ranges.rows[v], ranges.parts[v].odds
+        if keep_likely(here.used, odds, 0.0, par.rtk.reflections, scratch.sets) < LEAST_ROWS:
+            ranges.work[v].few = True
             continue
         outcome, _, _, _, excluded = detect_and_exclude(
-            here, here.group, epoch.state.vehicles[v].heading.angle, tables.thresholds, par.fde, position, q
+            here, epoch.vehicles[v].heading.angle, tables.thresholds, par.fde, position, q
         )
-        ranges.consistent[v], ranges.excluded[v] = outcome <= EXCLUDED, excluded
-        if ranges.consistent[v] and learns:
+        ranges.work[v].consistent, ranges.work[v].excluded = outcome <= EXCLUDED, excluded
+        if ranges.work[v].consistent and learns:
             update_zenith(v, epoch, service, ranges, carrier)
 
 
@@ -72,21 +70,21 @@ def find_fix(
 ) -> None:
     """Offer the position of tested ranges where :func:`takes` says so; without a level where nothing moves another."""
     par, rules = service.parameters[0], service.rules[0]
-    scratch = fixed_scratch(service.allowed.shape[0], par.rtk.reflections.sets)
-    levels = np.empty((epoch.out.levels.shape[1], 2))
+    scratch = fixed_scratch(service.satellites.shape[0], par.rtk.reflections.sets)
+    levels = np.empty((epoch.levels.shape[1], 2))
     for v in range(first, last):
-        vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
-        if not ranges.consistent[v] or (w.fixed.usable and ranges.offered[v] == 0):
+        vehicle, w = epoch.vehicles[v], epoch.work[v]
+        if not ranges.work[v].consistent or (w.fixed.usable and ranges.labels[v].offered == 0):
             continue
         used, hdop = position_of(v, epoch, service, inputs, ranges, scratch, levels)
         if used == 0:
             continue
         doubted, alone = is_suspicious(vehicle.jump) and not w.fixed.usable, w.mode == NONE and not w.fixed.usable
-        unbounded = alone and not par.cold and not bounded(levels[0]) and not bounded(epoch.out.levels[v, 0])
-        if takes(v, levels, epoch.out.levels[v], service, ranges) or doubted or unbounded:
-            offer(w.fixed, scratch.geo.fix[0], used, ranges.excluded[v], hdop)
-            epoch.work.fixed_levels[v, :, :] = levels
-            ranges.offered[v] = rules.mode
+        unbounded = alone and not par.cold and not bounded(levels[0]) and not bounded(epoch.levels[v, 0])
+        if takes(v, levels, epoch.levels[v], service, ranges) or doubted or unbounded:
+            offer(w.fixed, scratch.geo.fix[0], used, ranges.work[v].excluded, hdop)
+            epoch.fixed_levels[v, :, :] = levels
+            ranges.labels[v].offered = rules.mode
 
 
 @jit
@@ -96,39 +94,39 @@ def position_of(
 ) -> tuple[int, float]:  # fmt: skip
     """Solve the ranges of vehicle v and fill its levels (R, 2); number of ranges, 0 without a position, and HDOP."""
     par, rules, tables = service.parameters[0], service.rules[0], service.tables
-    vehicle, w, los = epoch.state.vehicles[v], epoch.work.vehicles[v], epoch.measured.los[epoch.measured.sight[v]]
-    here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
-    used = pack(here, ranges.odds[v], rules.bias, scratch)
-    hdop, geo = hdop_of(los, here.group, here.used), scratch.geo
+    vehicle, w = epoch.vehicles[v], epoch.work[v]
+    used = pack(ranges.rows[v], ranges.parts[v], rules.bias, scratch)
+    hdop, geo = hdop_of(ranges.rows[v]), scratch.geo
     if not hdop <= rules.max_hdop:
         return 0, hdop
-    geo.fix[0].height, geo.fix[0].height_weight = inputs.height[v], 1.0 / inputs.height_variance[v]
+    geo.fix[0].height, geo.fix[0].height_weight = inputs.vehicles[v].height, 1.0 / inputs.vehicles[v].height_variance
     found = find_geometry(scratch.los, scratch.group, scratch.variance, scratch.bias, used, w.sin_h, w.cos_h, geo)
     if found != SOLVED:
         return 0, hdop
     solve(scratch.y, scratch.group, used, geo)
     levels_of_fix(used, 0.0, w.sin_h, w.cos_h, tables, par, scratch, levels)
-    lever_at, lever_ct = lever_bounds(vehicle, courses_of(epoch.state.courses, v), par)
+    lever_at, lever_ct = lever_bounds(vehicle, epoch.faults[v], par)
     levels[:, 0] += lever_at
     levels[:, 1] += lever_ct
     return used, hdop
 
 
 @jit
-def pack(rows: Rows, odds: Array, bias: float, scratch: FixedScratch) -> int:
+def pack(rows: Records, parts: Records, bias: float, scratch: FixedScratch) -> int:
     """Copy the rows in use into the scratch of the levels; how many."""
     n = 0
-    for s in range(rows.y.shape[0]):
-        if rows.used[s]:
+    for s in range(rows.shape[0]):
+        row = rows[s]
+        if row.used:
             for k in range(3):
-                scratch.los[n, k] = rows.los[s, k]
-            scratch.group[n], scratch.variance[n], scratch.bias[n] = rows.group[s], rows.variance[s], bias
-            scratch.y[n], scratch.accuracy[n], scratch.odds[n] = rows.y[s], rows.variance[s], odds[s]
+                scratch.los[n, k] = row.e[k]
+            scratch.group[n], scratch.variance[n], scratch.bias[n] = row.group, row.variance, bias
+            scratch.y[n], scratch.accuracy[n], scratch.odds[n] = row.y, row.variance, parts[s].odds
             n += 1
     return n
 
 
-@jit(borrows=True)
+@jit
 def takes(v: int, found: Array, expected: Array, service: ServiceTables, ranges: ServiceRows) -> bool:
     """Whether a position of operative levels found (R, 2) replaces the one reckoned on, of the levels expected.
 
@@ -138,19 +136,19 @@ def takes(v: int, found: Array, expected: Array, service: ServiceTables, ranges:
     if not bounded(found[0]):
         return False
     level, factor = found[0, 0] ** 2 + found[0, 1] ** 2, service.rules[0].preference ** 2
-    preferred = ranges.least[v] < factor * level
-    ranges.least[v] = min(ranges.least[v], level)
+    preferred = ranges.work[v].least < factor * level
+    ranges.work[v].least = min(ranges.work[v].least, level)
     if preferred:
         return False
     if not bounded(expected[0]):
         return True
     for mode in service.later:
-        if mode == ranges.latest[v]:
+        if mode == ranges.labels[v].latest:
             level /= factor
     return bool(level < expected[0, 0] ** 2 + expected[0, 1] ** 2)
 
 
-@jit(borrows=True)
+@jit
 def offer(fixed: Any, fix: Any, satellites: int, excluded: int, hdop: float) -> None:
     """Make a position the one that the jump monitor judges; nothing of a failed RTK attempt counts for it."""
     for k in range(3):

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.monitoring.jump_kernel import bounded, contradicts, is_suspicious
 from lanebound.integrity.monitoring.protection_kernel import pair_risk
 from lanebound.integrity.monitoring.reflection_modes_kernel import add_reflection_modes
@@ -56,23 +55,27 @@ def couple_fix(
 ) -> None:  # fmt: skip
     """Offer the position of tested ranges whole or coupled, or couple the ranges, where no service before has."""
     par, rules, how = service.parameters[0], service.rules[0], coupling.rules[0]
-    scratch = fixed_scratch(service.allowed.shape[0], coupling.parameters[0].rtk.reflections.sets)
-    levels, cases = np.empty((epoch.out.levels.shape[1], 2)), epoch.out.levels.shape[1]
+    scratch = fixed_scratch(service.satellites.shape[0], coupling.parameters[0].rtk.reflections.sets)
+    levels, cases = np.empty((epoch.levels.shape[1], 2)), epoch.levels.shape[1]
     part = Part(np.empty(3), np.empty(3), np.empty((cases, 2)))
     for v in range(first, last):
-        vehicle, w, expected = epoch.state.vehicles[v], epoch.work.vehicles[v], epoch.out.levels[v]
-        if w.fixed.usable or not ranges.due[v] or not (ranges.consistent[v] or (how.tight and ranges.few[v])):
+        vehicle, w, expected = epoch.vehicles[v], epoch.work[v], epoch.levels[v]
+        if (
+            w.fixed.usable
+            or not ranges.work[v].due
+            or not (ranges.work[v].consistent or (how.tight and ranges.work[v].few))
+        ):
             continue
         used, hdop = (
-            position_of(v, epoch, service, inputs, ranges, scratch, levels) if ranges.consistent[v] else (0, 0.0)
+            position_of(v, epoch, service, inputs, ranges, scratch, levels) if ranges.work[v].consistent else (0, 0.0)
         )
         if used > 0:
             describe(v, used, epoch, service, ranges, scratch, coupling, part)
             if is_whole(v, epoch, how.restart, scratch, levels, part.extra[0], coupling):
                 if takes(v, levels, expected, service, ranges) or is_suspicious(vehicle.jump):
-                    offer(w.fixed, scratch.geo.fix[0], used, ranges.excluded[v], hdop)
-                    epoch.work.fixed_levels[v, :, :] = levels
-                    ranges.offered[v] = rules.mode
+                    offer(w.fixed, scratch.geo.fix[0], used, ranges.work[v].excluded, hdop)
+                    epoch.fixed_levels[v, :, :] = levels
+                    ranges.labels[v].offered = rules.mode
                     propose_whole(v, how, part, w, coupling)
                 continue
         waits = coupling.coupled[v].active and coupling.coupled[v].since < how.interval - 0.5 * par.dt
@@ -93,7 +96,7 @@ def is_whole(
 ) -> bool:  # fmt: skip
     """Whether a position is not coupled: nothing is reckoned on, its faults have no bound that lasts, it contradicts
     what is reckoned on, or its level is much lower."""
-    vehicle, w, expected = epoch.state.vehicles[v], epoch.work.vehicles[v], epoch.out.levels[v, 0]
+    vehicle, w, expected = epoch.vehicles[v], epoch.work[v], epoch.levels[v, 0]
     if not vehicle.initialised or not bounded(expected) or not bounded(extra) or is_suspicious(vehicle.jump):
         return True
     if coupling.coupled[v].active and not coupling.extra[v, 0].first < math.inf:
@@ -114,15 +117,15 @@ def describe(
     coupling: Coupling, part: Part,
 ) -> None:  # fmt: skip
     """Fast and slow covariance of the solved position of vehicle v, and bounds of its faults for each case."""
-    par, tables, w, geo = coupling.parameters[0], service.tables, epoch.work.vehicles[v], scratch.geo
+    par, tables, w, geo = coupling.parameters[0], service.tables, epoch.work[v], scratch.geo
     fix, risk, modes, i = geo.fix[0], par.risk, scratch.modes, 0
     part.fast[:] = 0.0
-    for s in range(service.allowed.shape[0]):
-        if ranges.used[v, s]:
+    for s in range(service.satellites.shape[0]):
+        if ranges.rows[v, s].used:
             east, north = geo.weight[i] * geo.lever[0, i], geo.weight[i] * geo.lever[1, i]
-            part.fast[0] += east * east * ranges.fast[v, s]
-            part.fast[1] += east * north * ranges.fast[v, s]
-            part.fast[2] += north * north * ranges.fast[v, s]
+            part.fast[0] += east * east * ranges.parts[v, s].fast
+            part.fast[1] += east * north * ranges.parts[v, s].fast
+            part.fast[2] += north * north * ranges.parts[v, s].fast
             i += 1
     part.slow[0], part.slow[1] = fix.p_ee - part.fast[0], fix.p_en - part.fast[1]
     part.slow[2] = fix.p_nn - part.fast[2]
@@ -137,7 +140,7 @@ def describe(
             scratch.moments, modes,
         )  # fmt: skip
     prior, sigma = np.empty(count), np.empty(count)
-    lever_at, lever_ct = lever_bounds(epoch.state.vehicles[v], courses_of(epoch.state.courses, v), par)
+    lever_at, lever_ct = lever_bounds(epoch.vehicles[v], epoch.faults[v], par)
     for q in range(2):
         for k in range(count):
             solved = k > 0 and modes.weight[k] > 0.0
@@ -158,7 +161,7 @@ def couple_position(
     part: Part, coupling: Coupling,
 ) -> None:  # fmt: skip
     """Offer ``(1 - a) x + a x_s`` with the weight of the smallest bound, if there is one below that of x."""
-    w, vehicle, fix = epoch.work.vehicles[v], epoch.state.vehicles[v], scratch.geo.fix[0]
+    w, vehicle, fix = epoch.work[v], epoch.vehicles[v], scratch.geo.fix[0]
     a, own = np.zeros((2, 2)), Part(np.empty(3), np.empty(3), np.empty_like(part.extra))
     chosen, least = 0.0, cost_of(v, epoch, coupling, a, part.fast, part.slow, part.extra[0], False)
     step = (LARGEST_WEIGHT / LEAST_WEIGHT) ** (1.0 / (WEIGHTS - 1))
@@ -172,7 +175,7 @@ def couple_position(
     if chosen == 0.0:
         return
     weigh(chosen, part, own, a)
-    levels = epoch.work.fixed_levels[v]
+    levels = epoch.fixed_levels[v]
     propose(v, epoch, service.tables.cases, coupling, a, own, levels)
     east, north = reference_point(fix, epoch.parameters[0].lever, w.sin_h, w.cos_h)
     w.fixed.position[0] = fix.position[0] + (chosen - 1.0) * (east - vehicle.position[0])
@@ -181,7 +184,7 @@ def couple_position(
     offer_coupled(v, used, hdop, epoch, service, ranges, coupling)
 
 
-@jit(borrows=True)
+@jit
 def weigh(weight: float, part: Part, own: Part, a: Array) -> None:
     """The share of a position of this weight, and what remains of the other one."""
     a[0, 0], a[1, 1] = 1.0 - weight, 1.0 - weight

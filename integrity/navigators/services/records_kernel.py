@@ -13,15 +13,18 @@ from lanebound.integrity.positioning.code_errors_kernel import CODE_ERRORS
 
 __all__ = [
     "LEAST_WEIGHT",
+    "PART",
+    "SERVICE_INPUT",
+    "SERVICE_LABEL",
     "SERVICE_RULES",
+    "SERVICE_SATELLITE",
+    "SERVICE_SIGNAL",
+    "SERVICE_WORK",
     "ServiceInputs",
-    "ServiceLabels",
     "ServiceRows",
     "ServiceState",
     "ServiceTables",
 ]
-
-Array = NDArray[np.float64]
 
 LEAST_WEIGHT = 1.0 / 32.0  # of a position in a mean with the one reckoned on
 
@@ -43,77 +46,85 @@ SERVICE_RULES = record(
 """Declared figures of a service, from its CodeServiceConfig."""
 
 
+SERVICE_SATELLITE = record(
+    share=("f8", (2,), "of each band in its range [-]"),
+    noise="1 sigma of the range over that of one band [-]",
+    allowed=("?", "it may be used"),
+)
+"""What a service declares of a satellite."""
+
+SERVICE_SIGNAL = record(
+    code=("f8", (2,), "undifferenced, by band [m]"),
+    phase=("f8", (2,), "the same of the carrier [m]"),
+    satellite="correction of the satellite [m]",
+    zenith="vertical ionosphere on the first band [m]",
+    declared="1 sigma of the satellite as the provider declares it, inf without a correction [m]",
+)
+"""Measurements and corrections of a satellite in an epoch."""
+
+SERVICE_INPUT = record(
+    zenith_declared="1 sigma of the vertical ionosphere as the provider declares it [m]",
+    age="of the corrections [s]",
+    zenith_age="of the ionospheric grid [s]",
+    height="Up of the antenna by the barometer [m]",
+    height_variance="inf without a barometer [m^2]",
+)
+"""The rest of an epoch."""
+
+PART = record(fast="part of the variance by noise and multipath [m^2]", odds="that the range is off [-]")
+"""What a row of a service has beside :data:`~lanebound.integrity.positioning.rows_kernel.ROW`."""
+
+SERVICE_WORK = record(
+    due=("?", "a position is to be found"),
+    consistent=("?", "the fault test has passed"),
+    few=("?", "too few ranges for it remain"),
+    excluded=("i8", "ranges that it has put out of use"),
+    least="smallest sum of squares of both levels that a service has found in this epoch [m^2]",
+)
+"""Work of one service after another, of a vehicle."""
+
+SERVICE_LABEL = record(
+    offered=("i8", "mode whose position a service offers in this epoch, 0: none"),
+    latest=("i8", "mode of the last position that was taken, 0: RTK"),
+)
+"""Which service a vehicle's position comes from."""
+
+
 class ServiceTables(NamedTuple):
     """Parameters of a service.
 
     rules (1,) of SERVICE_RULES; parameters (1,) of PARAMETERS and tables with its risks, tests and fault priors;
-    share (S, 2) of each band in the range of a satellite; noise (S,) 1 sigma of the range over that of one band;
-    allowed (S,) satellites that may be used; later (n,) modes of the services that are less preferred.
+    satellites (S,) of SERVICE_SATELLITE; later (n,) modes of the services that are less preferred.
     """
 
     rules: Records
     parameters: Records
     tables: Tables
-    share: Array
-    noise: Array
-    allowed: NDArray[np.bool_]
+    satellites: Records
     later: NDArray[np.int64]
 
 
 class ServiceInputs(NamedTuple):
-    """Measurements and corrections of an epoch.
+    """Measurements and corrections of an epoch: signals (B, S) of SERVICE_SIGNAL, vehicles (B,) of SERVICE_INPUT."""
 
-    code, phase (B, S, 2) undifferenced [m]; height (B,) Up of the antenna by the barometer [m] and height_variance (B,)
-    [m^2], inf without one; satellite (B, S) correction [m] and zenith (B, S) vertical ionosphere on
-    the first band [m]; declared (S,) 1 sigma of a satellite, inf without a correction, and zenith_declared that of the
-    vertical ionosphere [m], both as the provider declares; age, zenith_age (B,) [s].
-    """
-
-    code: Array
-    phase: Array
-    satellite: Array
-    zenith: Array
-    declared: Array
-    zenith_declared: float
-    age: Array
-    zenith_age: Array
-    height: Array
-    height_variance: Array
+    signals: Records
+    vehicles: Records
 
 
 class ServiceState(NamedTuple):
     """What lasts of a service: hatch (B, S) of HATCH; since (B,) time since the last attempt at a position [s]."""
 
     hatch: Records
-    since: Array
+    since: NDArray[np.float64]
 
 
 class ServiceRows(NamedTuple):
     """Corrected ranges of an epoch, work of one service after another.
 
-    y, variance, odds (B, S), and fast (B, S) the part of the variance by noise and multipath; used (B, S); due (B,) a
-    position is to be found; consistent (B,) the fault test has passed, with ``excluded`` (B,) ranges out of use; few
-    (B,) too few ranges for it remain; offered, latest (B,) as in ServiceLabels; least (B,) the smallest sum of squares
-    of both levels that a service has found in this epoch [m^2].
+    rows (B, S) of ROW and parts (B, S) of PART; work (B,) of SERVICE_WORK; labels (B,) of SERVICE_LABEL.
     """
 
-    y: Array
-    variance: Array
-    fast: Array
-    odds: Array
-    used: NDArray[np.bool_]
-    due: NDArray[np.bool_]
-    consistent: NDArray[np.bool_]
-    few: NDArray[np.bool_]
-    excluded: NDArray[np.int64]
-    offered: NDArray[np.int64]
-    latest: NDArray[np.int64]
-    least: Array
-
-
-class ServiceLabels(NamedTuple):
-    """offered (B,) mode whose position a service offers in this epoch, 0: none; latest (B,) that of the last position
-    that was taken, 0: RTK."""
-
-    offered: NDArray[np.int64]
-    latest: NDArray[np.int64]
+    rows: Records
+    parts: Records
+    work: Records
+    labels: Records

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.navigators.rtk_reckoning import parameters as figures
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
-from lanebound.integrity.navigators.rtk_reckoning.stages import SeparateStage
+from lanebound.integrity.navigators.rtk_reckoning.stages import Point, SeparateStage
 from lanebound.integrity.navigators.services.code_kernel import fill_code_ranges
 from lanebound.integrity.navigators.services.config import CodeServiceConfig
 from lanebound.integrity.navigators.services.coupling import (
@@ -31,15 +31,21 @@ from lanebound.integrity.navigators.services.fix_kernel import LEAST_ROWS, check
 from lanebound.integrity.navigators.services.label_kernel import begin_services, begin_without_rtk, label_services
 from lanebound.integrity.navigators.services.loose_kernel import couple_fix
 from lanebound.integrity.navigators.services.records_kernel import (
+    PART,
+    SERVICE_INPUT,
+    SERVICE_LABEL,
     SERVICE_RULES,
+    SERVICE_SATELLITE,
+    SERVICE_SIGNAL,
+    SERVICE_WORK,
     ServiceInputs,
-    ServiceLabels,
     ServiceRows,
     ServiceState,
     ServiceTables,
 )
 from lanebound.integrity.navigators.services.table import Service, declared_of, service_named
 from lanebound.integrity.navigators.services.zenith_kernel import CARRIER_RULES, ZENITH, CarrierTables
+from lanebound.integrity.positioning.rows_kernel import ROW
 from lanebound.integrity.positioning.smoothing_kernel import HATCH
 from lanebound.integrity.sky.systems import WAVELENGTH_M, System
 
@@ -53,7 +59,7 @@ Array = NDArray[np.float64]
 
 INPUTS, RANGES = "inputs of services", "ranges of services"  # names of what the stages share
 ZENITH_TAU_S = 1800.0  # of the troposphere, Joerger and Pervan 2016
-OFFERED, LATEST = "service offered", "service of the position"
+LABELS = "service of the position"
 RECENT = 1.5  # intervals of a service for which its position, moved by Doppler, still counts as its own
 
 
@@ -95,11 +101,16 @@ def service_tables(config: RtkReckoningConfig, service: Service, system: NDArray
         rules=service_rules(declared, service, config),
         parameters=figures.epoch_parameters(own),
         tables=figures.epoch_tables(own, system),
-        share=np.ascontiguousarray(share),
-        noise=np.sqrt((share**2).sum(-1)),
-        allowed=np.isin(system, [int(System[name]) for name in declared.systems]),
+        satellites=_satellites(share, np.isin(system, [int(System[name]) for name in declared.systems])),
         later=np.array([int(service_named(name).mode) for name in _after(service, config)], dtype=np.int64),
     )
+
+
+def _satellites(share: Array, allowed: NDArray[np.bool_]) -> Records:
+    """SERVICE_SATELLITE (S,) of the shares of the bands (S, 2), and which satellites may be used (S,)."""
+    out = np.zeros(len(share), SERVICE_SATELLITE)
+    out["share"], out["noise"], out["allowed"] = share, np.sqrt((share**2).sum(-1)), allowed
+    return out
 
 
 def _after(service: Service, config: RtkReckoningConfig) -> tuple[str, ...]:
@@ -161,7 +172,7 @@ class BeginStage(SeparateStage):
     with_rtk: bool
 
     def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
-        (begin_services if self.with_rtk else begin_without_rtk)(first, last, epoch, _labels(states))
+        (begin_services if self.with_rtk else begin_without_rtk)(first, last, epoch, states[LABELS])
 
 
 @dataclass(frozen=True)
@@ -195,11 +206,7 @@ class LabelStage(SeparateStage):
     recent_s: float
 
     def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
-        label_services(first, last, epoch, _labels(states), self.network, self.recent_s)
-
-
-def _labels(states: Mapping[str, Any]) -> ServiceLabels:
-    return ServiceLabels(states[OFFERED], states[LATEST])
+        label_services(first, last, epoch, states[LABELS], self.network, self.recent_s)
 
 
 class ServiceSet:
@@ -232,46 +239,41 @@ class ServiceSet:
         """Whether there is a service other than RTK from one station."""
         return bool(self._coded) or self._network
 
-    def begin(self) -> list[SeparateStage]:
-        """The stage before any position."""
-        coupling = [BeginCouplingStage()] if self._coupling else []
-        return [BeginStage(self.with_rtk), *coupling] if self.active else []
-
-    def before_levels(self) -> list[SeparateStage]:
-        """The stage before the levels of the position reckoned on."""
-        return [LengthenStage()] if self._coupling else []
-
-    def settle(self) -> list[SeparateStage]:
-        """The stage after a position was taken."""
-        return [SettleStage()] if self._coupling else []
+    @property
+    def stages(self) -> dict[Point, list[SeparateStage]]:
+        """The stages of the services, by the point of the epoch where they run; positions in order of preference."""
+        if not self.active:
+            return {}
+        recent = RECENT * max((declared.interval_s for declared in self._declared.values()), default=0.0)
+        fixes: list[SeparateStage] = [
+            FixStage(s.name, self._tables[s.name], carrier_rules(self._declared[s.name]), self._rules_of(s.name))
+            for s in self._coded
+        ]
+        found: dict[Point, list[SeparateStage]] = {
+            Point.MEASURED: [BeginStage(self.with_rtk)],
+            Point.OFFERED: fixes,
+            Point.REPORTED: [LabelStage(self._network, recent)],
+        }
+        if self._coupling:
+            found[Point.MEASURED].append(BeginCouplingStage())
+            found[Point.MOVED], found[Point.TAKEN] = [LengthenStage()], [SettleStage()]
+        return found
 
     def forget(self, states: Mapping[str, Any], rows: NDArray[np.int64] | slice) -> None:
         """Vehicles that are placed anew hold no code errors."""
         if self._coupling:
             states[LASTING]["active"][rows] = False
 
-    def fixes(self) -> list[SeparateStage]:
-        """The stages of the positions, in order of preference."""
-        return [
-            FixStage(s.name, self._tables[s.name], carrier_rules(self._declared[s.name]), self._rules_of(s.name))
-            for s in self._coded
-        ]
-
     def _rules_of(self, name: str) -> tuple[Records, Records] | None:
         if self._coupling is None:
             return None
         return coupling_rules(self._coupling, self._declared[name], self._dt), self._tables[name].parameters
 
-    def label(self) -> list[SeparateStage]:
-        """The stage after the report."""
-        recent = RECENT * max((declared.interval_s for declared in self._declared.values()), default=0.0)
-        return [LabelStage(self._network, recent)] if self.active else []
-
     def initial(self, batch: int) -> dict[str, NDArray[Any]]:
         """What lasts of the services, by name."""
         if not self.active:
             return {}
-        out: dict[str, NDArray[Any]] = {name: np.zeros(batch, np.int64) for name in (OFFERED, LATEST)}
+        out: dict[str, NDArray[Any]] = {LABELS: np.zeros(batch, SERVICE_LABEL)}
         for service in self._coded:
             out[f"hatch {service.name}"] = np.zeros((batch, self._satellites), HATCH)
             out[f"since {service.name}"] = np.full(batch, np.inf)
@@ -283,7 +285,7 @@ class ServiceSet:
         if not self.active:
             return states
         inputs = {service.name: self._inputs(service, m) for service in self._coded}
-        shared: dict[str, Any] = {INPUTS: inputs, RANGES: self._ranges(states[OFFERED], states[LATEST])}
+        shared: dict[str, Any] = {INPUTS: inputs, RANGES: self._ranges(states[LABELS])}
         if self._coupling:
             first = self._coded[0].name
             rules, modes = self._rules_of(first), self._tables[first].tables.prior.size
@@ -291,32 +293,28 @@ class ServiceSet:
             shared[PROPOSED] = proposals(*rules, states, modes)
         return {**states, **shared}
 
-    def _ranges(self, offered: NDArray[np.int64], latest: NDArray[np.int64]) -> ServiceRows:
-        shape = offered.size, self._satellites
-        y, variance, fast, odds = np.zeros((4, *shape))
-        used, (due, consistent, few) = np.zeros(shape, np.bool_), np.zeros((3, shape[0]), np.bool_)
-        return ServiceRows(
-            y, variance, fast, odds, used, due, consistent, few, np.zeros(shape[0], np.int64), offered, latest,
-            np.full(shape[0], np.inf),
-        )  # fmt: skip
+    def _ranges(self, labels: Records) -> ServiceRows:
+        shape = labels.size, self._satellites
+        work = np.zeros(labels.size, SERVICE_WORK)
+        work["least"] = np.inf
+        return ServiceRows(np.zeros(shape, ROW), np.zeros(shape, PART), work, labels)
 
     def _inputs(self, service: Service, m: Measurements) -> ServiceInputs:
-        g, shape = m.gnss, m.gnss.tracked.shape
+        g = m.gnss
         assert g.raw_code_m is not None, "gnss.undifferenced is on wherever a service needs it"
         assert g.raw_phase_m is not None
+        signals, vehicles = np.zeros(g.tracked.shape, SERVICE_SIGNAL), np.zeros(len(g.tracked), SERVICE_INPUT)
+        signals["code"], signals["phase"] = g.raw_code_m, g.raw_phase_m
+        vehicles["height"], vehicles["height_variance"] = self._height(m)
         if service.provider is None:
-            nothing, now = np.zeros(shape), np.zeros(shape[0])
-            declared = np.full(shape[1], self._declared[service.name].errors.satellite_m)
-            return ServiceInputs(
-                g.raw_code_m, g.raw_phase_m, nothing, nothing, declared, 0.0, now, now, *self._height(m)
-            )
+            signals["declared"] = self._declared[service.name].errors.satellite_m
+            return ServiceInputs(signals, vehicles)
         assert g.corrections is not None, "its provider is simulated"
         held = g.corrections[service.provider]
-        zenith_age = held.zenith_age_s if held.has_zenith else np.zeros(shape[0])
-        return ServiceInputs(
-            g.raw_code_m, g.raw_phase_m, held.satellite_m, held.zenith_m, held.declared_m,
-            float(held.zenith_declared_m), held.age_s, zenith_age, *self._height(m),
-        )  # fmt: skip
+        signals["satellite"], signals["zenith"] = held.satellite_m, held.zenith_m
+        signals["declared"], vehicles["zenith_declared"] = held.declared_m, held.zenith_declared_m
+        vehicles["age"], vehicles["zenith_age"] = held.age_s, held.zenith_age_s if held.has_zenith else 0.0
+        return ServiceInputs(signals, vehicles)
 
     def _height(self, m: Measurements) -> tuple[Array, Array]:
         """Height by the barometer and its variance (B,); an infinite variance without one."""

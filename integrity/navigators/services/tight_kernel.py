@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_upper
-from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import lever_bounds
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Epoch
 from lanebound.integrity.navigators.services.coupling_kernel import cost_of, fault_bound, on_axis, propose
@@ -37,25 +37,29 @@ Bools = NDArray[np.bool_]
 FREE_HEIGHT_M2 = 1e8  # variance of a height without an observation
 
 
-class Aided(NamedTuple):
-    """Ranges of an epoch and the position that they correct; n ranges.
+AIDED_RANGE = record(
+    e=("f8", (3,), "unit vector to the satellite"),
+    group=("i8", "its clock"),
+    y="range less that of the predicted position [m]",
+    weight="[1/m^2]",
+    fast="variance of fast errors [m^2]",
+    slow="variance of slow errors [m^2]",
+    odds="that the range is off [-]",
+    row=("f8", (3,), "centred design row in the last solution, 0 of a range that it leaves out"),
+)
+"""A range that corrects the position reckoned on."""
 
-    los (n, 3), group (n,), y (n,) less that of the predicted position, weight (n,); fast, slow (n,) variances; odds
-    (n,); prior (3, 3) information of the position reckoned on; inverse (3, 3) N^-1, shift (3,) and rows (n, 3) of the
-    last solution.
+
+class Aided(NamedTuple):
+    """Ranges (n,) of AIDED_RANGE and the position that they correct.
+
+    prior (3, 3) information of the position reckoned on; inverse (3, 3) N^-1 and shift (3,) of the last solution.
     """
 
-    los: Array
-    group: Ints
-    y: Array
-    weight: Array
-    fast: Array
-    slow: Array
-    odds: Array
+    ranges: Any
     prior: Array
     inverse: Array
     shift: Array
-    rows: Array
 
 
 @jit
@@ -64,20 +68,20 @@ def couple_ranges(
     hdop: float,
 ) -> None:  # fmt: skip
     """Offer the position that the ranges of vehicle v correct, if its bound by declared figures is smaller."""
-    cases, w, vehicle = epoch.out.levels.shape[1], epoch.work.vehicles[v], epoch.state.vehicles[v]
+    cases, w, vehicle = epoch.levels.shape[1], epoch.work[v], epoch.vehicles[v]
     part, a = Part(np.zeros(3), np.zeros(3), np.empty((cases, 2))), np.zeros((2, 2))
     aided = gather(v, epoch, service, inputs, ranges, coupling)
-    n = aided.y.shape[0]
+    n = aided.ranges.shape[0]
     removed = np.zeros(n, np.bool_)
     if n < 2 or not solve_aided(removed, aided):
         return
     east, north = aided.shift[0], aided.shift[1]
-    share_of_ranges(aided, inputs.height_variance[v], part, a)
+    share_of_ranges(aided, inputs.vehicles[v].height_variance, part, a)
     bound_faults(v, epoch, service, coupling, aided, part)
     before = cost_of(v, epoch, coupling, a, part.fast, part.slow, part.extra[0], False)
     if not cost_of(v, epoch, coupling, a, part.fast, part.slow, part.extra[0], True) < before:
         return
-    propose(v, epoch, service.tables.cases, coupling, a, part, epoch.work.fixed_levels[v])
+    propose(v, epoch, service.tables.cases, coupling, a, part, epoch.fixed_levels[v])
     fixed, lever = w.fixed, epoch.parameters[0].lever
     fixed.position[0] = vehicle.position[0] + w.sin_h * lever.forward + w.cos_h * lever.right + east
     fixed.position[1] = vehicle.position[1] + w.cos_h * lever.forward - w.sin_h * lever.right + north
@@ -85,19 +89,19 @@ def couple_ranges(
     offer_coupled(v, n, hdop, epoch, service, ranges, coupling)
 
 
-@jit(borrows=True)
+@jit
 def offer_coupled(
     v: int, satellites: int, hdop: float, epoch: Epoch, service: ServiceTables, ranges: ServiceRows, coupling: Coupling
 ) -> None:
     """Make the coupled position, which ``fixed.position`` holds, the one that the jump monitor judges."""
-    fixed, g, w = epoch.work.vehicles[v].fixed, coupling.growth[v], epoch.work.vehicles[v]
+    fixed, g, w = epoch.work[v].fixed, coupling.proposals[v].growth, epoch.work[v]
     fixed.p_ee, fixed.p_en, fixed.p_nn = g.p_ee, g.p_en, g.p_nn
     s, c = w.sin_h, w.cos_h
     fixed.sigma[0] = math.sqrt(on_axis(g.p_ee, g.p_en, g.p_nn, s, c))
     fixed.sigma[1] = math.sqrt(on_axis(g.p_ee, g.p_en, g.p_nn, c, -s))
-    fixed.satellites, fixed.excluded, fixed.hdop, fixed.usable = satellites, ranges.excluded[v], hdop, True
+    fixed.satellites, fixed.excluded, fixed.hdop, fixed.usable = satellites, ranges.work[v].excluded, hdop, True
     fixed.status, fixed.coded, fixed.lasting, fixed.wrong, fixed.turned = NO_CORRECTIONS, False, False, 0.0, True
-    ranges.offered[v] = service.rules[0].mode
+    ranges.labels[v].offered = service.rules[0].mode
 
 
 @jit
@@ -106,30 +110,31 @@ def gather(
 ) -> Aided:
     """The ranges in use of vehicle v, and the information of the position reckoned on."""
     n = 0
-    for s in range(service.allowed.shape[0]):
-        n += ranges.used[v, s]
-    los, white = epoch.measured.los[epoch.measured.sight[v]], coupling.rules[0].white
-    aided = Aided(
-        np.empty((n, 3)), np.empty(n, np.int64), np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n),
-        np.zeros((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((n, 3)),
-    )  # fmt: skip
-    w, vehicle, lever = epoch.work.vehicles[v], epoch.state.vehicles[v], epoch.parameters[0].lever
+    for s in range(service.satellites.shape[0]):
+        n += ranges.rows[v, s].used
+    white = coupling.rules[0].white
+    aided = Aided(np.zeros(n, AIDED_RANGE), np.zeros((3, 3)), np.empty((3, 3)), np.empty(3))
+    w, vehicle, lever = epoch.work[v], epoch.vehicles[v], epoch.parameters[0].lever
     east = vehicle.position[0] + w.sin_h * lever.forward + w.cos_h * lever.right
     north = vehicle.position[1] + w.cos_h * lever.forward - w.sin_h * lever.right
-    known = inputs.height_variance[v] < math.inf
-    up, variance = (inputs.height[v], inputs.height_variance[v]) if known else (vehicle.position[2], FREE_HEIGHT_M2)
+    known = inputs.vehicles[v].height_variance < math.inf
+    up, variance = (
+        (inputs.vehicles[v].height, inputs.vehicles[v].height_variance)
+        if known
+        else (vehicle.position[2], FREE_HEIGHT_M2)
+    )
     i = 0
-    for s in range(service.allowed.shape[0]):
-        if ranges.used[v, s]:
+    for s in range(service.satellites.shape[0]):
+        if ranges.rows[v, s].used:
+            x, row, part = aided.ranges[i], ranges.rows[v, s], ranges.parts[v, s]
             for k in range(3):
-                aided.los[i, k] = los[s, k]
-            aided.group[i], aided.odds[i] = service.tables.system[s], ranges.odds[v, s]
-            aided.y[i] = ranges.y[v, s] + los[s, 0] * east + los[s, 1] * north + los[s, 2] * up
-            aided.fast[i] = ranges.fast[v, s]
-            aided.slow[i] = max(ranges.variance[v, s] - ranges.fast[v, s], 0.0)
-            aided.weight[i] = 1.0 / (white * aided.fast[i] + 2.0 * aided.slow[i])
+                x.e[k] = row.e[k]
+            x.group, x.odds = row.system, part.odds
+            x.y = row.y + row.e[0] * east + row.e[1] * north + row.e[2] * up
+            x.fast, x.slow = part.fast, max(row.variance - part.fast, 0.0)
+            x.weight = 1.0 / (white * x.fast + 2.0 * x.slow)
             i += 1
-    g, c = epoch.state.growth[v, LATEST], coupling.coupled[v]
+    g, c = vehicle.growth[LATEST], coupling.coupled[v]
     ee = g.p_ee - c.held_ee + c.white_ee + 2.0 * c.slow_ee
     en = g.p_en - c.held_en + c.white_en + 2.0 * c.slow_en
     nn = g.p_nn - c.held_nn + c.white_nn + 2.0 * c.slow_nn
@@ -144,28 +149,30 @@ def gather(
 @jit
 def solve_aided(removed: Bools, aided: Aided) -> bool:
     """Solve without some of the ranges: ``inverse``, ``shift`` and ``rows``, 0 for what is removed."""
-    n, rows = aided.y.shape[0], aided.rows
+    n = aided.ranges.shape[0]
     total, mean, value = np.zeros(MAX_GROUPS), np.zeros((MAX_GROUPS, 3)), np.zeros(MAX_GROUPS)
     for i in range(n):
         if not removed[i]:
-            g = aided.group[i]
-            total[g] += aided.weight[i]
-            value[g] += aided.weight[i] * aided.y[i]
+            x = aided.ranges[i]
+            g = x.group
+            total[g] += x.weight
+            value[g] += x.weight * x.y
             for k in range(3):
-                mean[g, k] -= aided.weight[i] * aided.los[i, k]
+                mean[g, k] -= x.weight * x.e[k]
     m, b = aided.prior.copy(), np.zeros(3)
     for i in range(n):
-        rows[i] = 0.0
+        x = aided.ranges[i]
+        x.row[0], x.row[1], x.row[2] = 0.0, 0.0, 0.0
         if removed[i]:
             continue
-        g = aided.group[i]
-        off = aided.y[i] - value[g] / total[g]
+        g = x.group
+        off = x.y - value[g] / total[g]
         for k in range(3):
-            rows[i, k] = -aided.los[i, k] - mean[g, k] / total[g]
+            x.row[k] = -x.e[k] - mean[g, k] / total[g]
         for k in range(3):
-            b[k] += aided.weight[i] * rows[i, k] * off
+            b[k] += x.weight * x.row[k] * off
             for j in range(3):
-                m[k, j] += aided.weight[i] * rows[i, k] * rows[i, j]
+                m[k, j] += x.weight * x.row[k] * x.row[j]
     ok, ee, en, eu, nn, nu, uu = invert_upper(m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2])
     if not ok:
         return False
@@ -186,9 +193,9 @@ def share_of_ranges(aided: Aided, height_variance: float, part: Part, a: Array) 
         for j in range(2):
             a[i, j] = inverse[i, 0] * prior[0, j] + inverse[i, 1] * prior[1, j]
     part.fast[:], part.slow[:] = 0.0, 0.0
-    for i in range(aided.y.shape[0]):
+    for i in range(aided.ranges.shape[0]):
         east, north = gain_of(i, aided)
-        for variance, out in ((aided.fast[i], part.fast), (aided.slow[i], part.slow)):
+        for variance, out in ((aided.ranges[i].fast, part.fast), (aided.ranges[i].slow, part.slow)):
             out[0] += variance * east * east
             out[1] += variance * east * north
             out[2] += variance * north * north
@@ -199,28 +206,29 @@ def share_of_ranges(aided: Aided, height_variance: float, part: Part, a: Array) 
     part.slow[2] += variance * north * north
 
 
-@jit(borrows=True)
+@jit
 def gain_of(i: int, aided: Aided) -> tuple[float, float]:
     """What a metre of range i does to East and North of the last solution."""
-    inverse, x, y, z = aided.inverse, aided.rows[i, 0], aided.rows[i, 1], aided.rows[i, 2]
+    inverse, found = aided.inverse, aided.ranges[i]
+    x, y, z = found.row[0], found.row[1], found.row[2]
     east = inverse[0, 0] * x + inverse[0, 1] * y + inverse[0, 2] * z
     north = inverse[1, 0] * x + inverse[1, 1] * y + inverse[1, 2] * z
-    return aided.weight[i] * east, aided.weight[i] * north
+    return found.weight * east, found.weight * north
 
 
 @jit
 def bound_faults(v: int, epoch: Epoch, service: ServiceTables, coupling: Coupling, aided: Aided, part: Part) -> None:
     """Bounds of faults, lasting errors of codes, and the lever arm of the solution with all ranges, for each case."""
-    par, w, n, memory = coupling.parameters[0], epoch.work.vehicles[v], aided.y.shape[0], coupling.rules[0].memory
+    par, w, n, memory = coupling.parameters[0], epoch.work[v], aided.ranges.shape[0], coupling.rules[0].memory
     sets = np.zeros((par.rtk.reflections.sets, LARGEST_SET), np.int64)
-    several, gone = find_sets(aided.odds, n, par.rtk.reflections, sets)
+    several, gone = find_sets(aided.ranges.odds, n, par.rtk.reflections, sets)
     if several < 0:
         part.extra[:, :] = math.inf
         return
     count = n + several + MAX_GROUPS
     prior, separation, sigma = np.zeros(count), np.zeros((2, count)), np.zeros((2, count))
     constant, whole, shift = np.zeros(2), aided.inverse.copy(), aided.shift.copy()
-    constant[0], constant[1] = lever_bounds(epoch.state.vehicles[v], courses_of(epoch.state.courses, v), par)
+    constant[0], constant[1] = lever_bounds(epoch.vehicles[v], epoch.faults[v], par)
     for i in range(n):
         east, north = gain_of(i, aided)
         constant[0] += service.rules[0].bias * abs(w.sin_h * east + w.cos_h * north)
@@ -240,7 +248,7 @@ def bound_faults(v: int, epoch: Epoch, service: ServiceTables, coupling: Couplin
             separation[q, k] = s * (shift[0] - aided.shift[0]) + c * (shift[1] - aided.shift[1])
             sigma[q, k] = math.sqrt(max(s * s * d[0, 0] + 2.0 * s * c * d[0, 1] + c * c * d[1, 1], 0.0))
     if par.risk.constellations:
-        gone += prior[n + several :].sum() * aided.odds.sum()
+        gone += prior[n + several :].sum() * aided.ranges.odds.sum()
     for r in range(part.extra.shape[0]):
         budget = service.tables.cases[r].budget
         for q in range(2):
@@ -254,17 +262,17 @@ def mark(k: int, n: int, several: int, sets: Ints, par: Any, aided: Aided, remov
     """Mark the ranges that fault mode k removes: its probability, 0 where there is none."""
     if k < n:
         removed[k] = True
-        return float(aided.odds[k])
+        return float(aided.ranges[k].odds)
     if k < n + several:
         odds = 1.0
         for s in sets[k - n]:
             if s >= 0:
                 removed[s] = True
-                odds *= aided.odds[s]
+                odds *= aided.ranges[s].odds
         return odds
     g = k - n - several
     if not par.risk.constellations:
         return 0.0
     for i in range(n):
-        removed[i] = aided.group[i] == g
+        removed[i] = aided.ranges[i].group == g
     return float(par.risk.constellation_prior[g]) if removed.any() else 0.0

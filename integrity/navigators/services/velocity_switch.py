@@ -26,12 +26,12 @@ LARGEST_MPS = 0.25  # difference of the two velocity vectors, S2 section 8
 def switch_velocity(first: int, last: int, epoch: Any, own: Any) -> None:
     """Refuse the Doppler velocity where it differs from that of heading and odometer by more than LARGEST_MPS."""
     for v in range(first, last):
-        vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
+        vehicle, w = epoch.vehicles[v], epoch.work[v]
         if not w.measured or vehicle.watch.doubted or not vehicle.since_calibration < math.inf:
             continue
-        speed, course = epoch.measured.speed[v], vehicle.heading.angle + w.slip
+        speed, course = epoch.observed[v].speed, vehicle.heading.angle + w.slip
         if not w.resting:
-            speed += 0.5 * epoch.measured.delta_v[v, 0]
+            speed += 0.5 * epoch.observed[v].delta_v[0]
         east, north = w.v_e - speed * math.sin(course), w.v_n - speed * math.cos(course)
         if east * east + north * north > LARGEST_MPS * LARGEST_MPS:
             refuse_doppler(w)

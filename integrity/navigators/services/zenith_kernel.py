@@ -14,7 +14,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
@@ -25,7 +24,6 @@ from lanebound.integrity.positioning.code_errors_kernel import troposphere_slant
 
 __all__ = ["CARRIER_RULES", "ZENITH", "CarrierTables", "predict_zenith", "update_zenith", "zenith_of_epoch"]
 
-Array = NDArray[np.float64]
 N = 4  # unknowns: position and zenith delay
 
 CARRIER_RULES = record(
@@ -54,57 +52,56 @@ def predict_zenith(v: int, epoch: Epoch, service: ServiceTables, ranges: Service
     decay = math.exp(-service.rules[0].interval / rules.zenith_tau)
     state.value *= decay
     state.variance = decay * decay * state.variance + (1.0 - decay * decay) * prior
-    correct(epoch.measured.los[epoch.measured.sight[v]], v, state.value, state.variance, ranges)
+    correct(state.value, state.variance, ranges.rows[v])
 
 
 @jit
 def update_zenith(v: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows, carrier: CarrierTables) -> None:
     """Take an epoch that has passed its fault test into the zenith delay of vehicle v, and correct its ranges anew."""
-    rules, state, los = carrier.rules[0], carrier.zenith[v], epoch.measured.los[epoch.measured.sight[v]]
+    rules, state, rows = carrier.rules[0], carrier.zenith[v], ranges.rows[v]
     value, variance = state.value, state.variance
-    correct(los, v, -value, -variance, ranges)
-    found, of_epoch, spread = zenith_of_epoch(
-        los, service.tables.system, ranges.y[v], ranges.variance[v], ranges.used[v]
-    )
+    correct(-value, -variance, rows)
+    found, of_epoch, spread = zenith_of_epoch(rows)
     if found:
         gain = variance / (variance + rules.lasting * spread)
         state.value = value + gain * (of_epoch - value)
         state.variance = variance * (1.0 - gain)
-    correct(los, v, state.value, state.variance, ranges)
+    correct(state.value, state.variance, rows)
 
 
 @jit
-def correct(los: Array, v: int, value: float, variance: float, ranges: ServiceRows) -> None:
-    """Subtract a zenith delay from the ranges in use of vehicle v, and add its variance to theirs."""
-    for s in range(los.shape[0]):
-        if ranges.used[v, s]:
-            slant = troposphere_slant(los[s, 2])
-            ranges.y[v, s] -= slant * value
-            ranges.variance[v, s] += (slant - 1.0) ** 2 * variance
+def correct(value: float, variance: float, rows: Records) -> None:
+    """Subtract a zenith delay from the rows (S,) in use, and add its variance to theirs."""
+    for s in range(rows.shape[0]):
+        row = rows[s]
+        if row.used:
+            slant = troposphere_slant(row.e[2])
+            row.y -= slant * value
+            row.variance += (slant - 1.0) ** 2 * variance
 
 
 @jit
-def zenith_of_epoch(
-    los: Array, system: NDArray[np.int64], y: Array, variance: Array, used: NDArray[np.bool_]
-) -> tuple[bool, float, float]:
+def zenith_of_epoch(rows: Records) -> tuple[bool, float, float]:
     """Zenith delay of an epoch by least squares with position and clocks free: (solved, delay [m], variance [m^2])."""
     mean, weight = np.zeros((MAX_GROUPS, N + 1)), np.zeros(MAX_GROUPS)
     row, a = np.empty(N + 1), np.zeros((N, N + 1))
-    for s in range(y.shape[0]):
-        if used[s]:
-            w, g = 1.0 / variance[s], system[s]
+    for s in range(rows.shape[0]):
+        here = rows[s]
+        if here.used:
+            w, g = 1.0 / here.variance, here.system
             weight[g] += w
             for k in range(3):
-                mean[g, k] -= w * los[s, k]
-            mean[g, 3] += w * troposphere_slant(los[s, 2])
-            mean[g, N] += w * y[s]
-    for s in range(y.shape[0]):
-        if used[s]:
-            w, g = 1.0 / variance[s], system[s]
+                mean[g, k] -= w * here.e[k]
+            mean[g, 3] += w * troposphere_slant(here.e[2])
+            mean[g, N] += w * here.y
+    for s in range(rows.shape[0]):
+        here = rows[s]
+        if here.used:
+            w, g = 1.0 / here.variance, here.system
             for k in range(3):
-                row[k] = -los[s, k] - mean[g, k] / weight[g]
-            row[3] = troposphere_slant(los[s, 2]) - mean[g, 3] / weight[g]
-            row[N] = y[s] - mean[g, N] / weight[g]
+                row[k] = -here.e[k] - mean[g, k] / weight[g]
+            row[3] = troposphere_slant(here.e[2]) - mean[g, 3] / weight[g]
+            row[N] = here.y - mean[g, N] / weight[g]
             for i in range(N):
                 for j in range(N + 1):
                     a[i, j] += w * row[i] * row[j]

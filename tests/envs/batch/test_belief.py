@@ -9,28 +9,28 @@ from typing import Any
 import numpy as np
 from highway_env.road.road import RoadNetwork
 
-from lanebound.envs.batch.belief_kernel import ACCELERATION_S, STANDSTILL_MPS, Fixes, begin, coast, settle, take
+from lanebound.envs.batch.belief_kernel import ACCELERATION_S, FIX, STANDSTILL_MPS, begin, coast, settle, take
 from lanebound.envs.batch.lanes import lane_table
 from lanebound.envs.batch.records_kernel import BELIEF, RULES, TRACK
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.records import xy_of
-from lanebound.integrity.core.records import one_record
+from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring.alerts import AlertReason
 
 COUNT, BOUND_M, LIMITS_M, STEP_S, EPOCH_S = 4, 0.1, (1.5, 0.6), 0.05, 0.1
 FREE = NavigationConfig()
 
 
-def _fixes(rng: np.random.Generator) -> Fixes:
+def _fixes(rng: np.random.Generator) -> Records:
     """Solutions that jump now and then, some without a level."""
-    values: dict[str, Any] = {name: np.zeros(COUNT) for name in Fixes._fields}
-    values |= {"alert": rng.random(COUNT) < 0.2, "available": rng.random(COUNT) < 0.8}
+    values = np.zeros(COUNT, FIX)
+    values["alert"], values["available"] = rng.random(COUNT) < 0.2, rng.random(COUNT) < 0.8
     values["position_en_m"] = rng.normal(0.0, 0.4, (COUNT, 2))
     values["heading_rad"] = rng.uniform(-7.0, 7.0, COUNT)
     values["speed_mps"] = np.where(rng.random(COUNT) < 0.2, 0.0, rng.uniform(0.0, 20.0, COUNT))
     values["pl_at_m"], values["pl_ct_m"] = rng.uniform(0.1, 2.5, (2, COUNT))
     values["pl_ct_m"][rng.random(COUNT) < 0.1] = np.inf
-    return Fixes(**values)
+    return values
 
 
 @dataclass
@@ -71,14 +71,14 @@ class Plain:
         return self.fix["pl"][0] + abs(c * x + s * y) + BOUND_M, self.fix["pl"][1] + abs(c * y - s * x) + BOUND_M
 
 
-def _fix(fixes: Fixes, n: int) -> dict[str, Any]:
+def _fix(fix: Any) -> dict[str, Any]:
     return {
-        "position": xy_of(fixes.position_en_m[n]),
-        "heading": math.remainder(float(fixes.heading_rad[n]) - 0.5 * math.pi, 2.0 * math.pi),
-        "speed": float(fixes.speed_mps[n]),
-        "pl": (float(fixes.pl_at_m[n]), float(fixes.pl_ct_m[n])),
-        "alert": bool(fixes.alert[n]),
-        "available": bool(fixes.available[n]),
+        "position": xy_of(fix["position_en_m"]),
+        "heading": math.remainder(float(fix["heading_rad"]) - 0.5 * math.pi, 2.0 * math.pi),
+        "speed": float(fix["speed_mps"]),
+        "pl": (float(fix["pl_at_m"]), float(fix["pl_ct_m"])),
+        "alert": bool(fix["alert"]),
+        "available": bool(fix["available"]),
     }
 
 
@@ -93,8 +93,8 @@ def test_poses_levels_and_alerts_follow_the_solutions() -> None:
     shift, tracks, belief = rng.normal(0.0, 0.03, (COUNT, 2)), np.zeros(COUNT, TRACK), np.zeros(COUNT, BELIEF)
     fixes, plain = _fixes(rng), list[Plain]()
     for n in range(COUNT):
-        begin(tracks[n], belief[n], fixes, n, *shift[n])
-        fix = _fix(fixes, n)
+        begin(tracks[n], belief[n], fixes[n], *shift[n])
+        fix = _fix(fixes[n])
         plain.append(Plain(shift[n], fix["position"], fix["heading"], fix))
     reasons = set()
     for _ in range(40):
@@ -103,10 +103,10 @@ def test_poses_levels_and_alerts_follow_the_solutions() -> None:
             settle(tracks[n], belief[n], lanes, STEP_S, rules)
         fixes = _fixes(rng)
         for n, car in enumerate(plain):
-            take(tracks[n], belief[n], fixes, n, rules)
+            take(tracks[n], belief[n], fixes[n], rules)
             settle(tracks[n], belief[n], lanes, STEP_S, rules)
             car.coast(STEP_S)
-            car.take(_fix(fixes, n))
+            car.take(_fix(fixes[n]))
             b, place = belief[n], car.position + car.residual + car.shift
             np.testing.assert_allclose([b["x_m"], b["y_m"], b["speed_mps"]], [*place, car.fix["speed"]], atol=1e-12)
             np.testing.assert_allclose(b["heading_rad"], car.heading, atol=1e-9)

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.motion_kernel import MOTION, advance, fill_motion
-from lanebound.envs.batch.navigation import _truth_rows
 from lanebound.envs.records import azimuth_of, enu_of
 from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.motion.truth import Truth
+from lanebound.integrity.motion.truth_kernel import TRUTH
 
 STEP, PER_EPOCH = 0.05, 2
 ROWS = (2, 0)
@@ -42,9 +42,9 @@ def _advance(motions: Any, k: int) -> None:
 
 def _epoch(motions: Any, epoch_s: float) -> Truth:
     """The truth of the epoch that ends now."""
-    rows = _truth_rows(motions.size)
+    rows = np.zeros(motions.size, TRUTH)
     fill_motion(motions, HERE, STEP, -GRAVITY_MPS2 * epoch_s, rows)
-    return Truth(0.4, epoch_s, *rows)
+    return Truth.of(0.4, epoch_s, rows)
 
 
 def _moved(steps: int) -> Any:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 
 from lanebound.envs.batch import perception_kernel as pk
-from lanebound.envs.batch.belief_kernel import Fixes
+from lanebound.envs.batch.belief_kernel import FIX
 from lanebound.envs.batch.perception import PerceptionBatch
 from lanebound.envs.batch.records_kernel import BELIEF, PERCEIVED, Cars
 from lanebound.envs.perception import PerceptionConfig
@@ -229,18 +229,14 @@ def test_one_vehicle_more_moves_no_draw_of_the_others() -> None:
 
 
 def test_claims_of_navigators_are_turned_into_the_plane() -> None:
-    values: dict[str, Any] = dict.fromkeys(Fixes._fields, np.zeros(2)) | {
-        "position_en_m": np.array([[3.0, 4.0], [0.0, 0.0]]),
-        "heading_rad": np.array([0.5 * np.pi - 0.1, 0.0]),
-        "velocity_en_mps": np.array([[10.0, 0.0], [0.0, 0.0]]),
-        "speed_mps": np.array([10.0, 0.0]),
-        "pl_at_m": np.array([1.0, np.inf]),
-        "pl_ct_m": np.array([0.5, np.inf]),
-        "mode": np.array([int(Mode.RTK), int(Mode.NONE)]),
-    }
+    fixes = np.zeros(2, FIX)
+    fixes["position_en_m"], fixes["heading_rad"] = [[3.0, 4.0], [0.0, 0.0]], [0.5 * np.pi - 0.1, 0.0]
+    fixes["velocity_en_mps"], fixes["speed_mps"] = [[10.0, 0.0], [0.0, 0.0]], [10.0, 0.0]
+    fixes["pl_at_m"], fixes["pl_ct_m"] = [1.0, np.inf], [0.5, np.inf]
+    fixes["mode"] = int(Mode.RTK), int(Mode.NONE)
     claims = np.zeros(2, pk.CLAIM)
     for v in range(2):
-        pk.claim(Fixes(**values), v, claims[v])
+        pk.claim(fixes[v], claims[v])
     assert (claims["x_m"][0], claims["y_m"][0]) == (3.0, -4.0)
     assert claims["heading_rad"][0] == 0.0  # the course, not the heading
     assert claims["heading_rad"][1] == -0.5 * np.pi

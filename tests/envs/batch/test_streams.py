@@ -10,7 +10,7 @@ from lanebound.envs.batch.streams import CrewStreams
 from lanebound.integrity.core import streams_kernel as sk
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.streams import ZIGGURAT, Streams, named_states
-from lanebound.integrity.sensors.draws_kernel import draw_normals_at, draw_uniforms_at
+from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_uniforms
 
 THERE = np.ones((2, 2), dtype=np.bool_)
 USED = np.array([[True, True, False, True], [False, True, True, False]])
@@ -91,8 +91,9 @@ def test_kernels_draw_for_the_places_taken_what_the_streams_of_egos_draw() -> No
     for used in (USED, ~USED):  # of another hour: places that were taken are empty now
         for streams in (crew, same):
             streams.places[:] = used
-        draw_normals_at(0, 2, crew.states("gnss"), crew.places, ZIGGURAT, normals)
-        draw_uniforms_at(0, 2, crew.states("gnss"), crew.places, uniforms)
+        for v, generator in enumerate(crew.together(("imu", "gnss"))[1]):
+            draw_normals(generator, v, crew.places, ZIGGURAT, normals[v])
+            draw_uniforms(generator, v, crew.places, uniforms[v])
         np.testing.assert_array_equal(normals.reshape(2, 4, 3), same.normal("gnss", 4, 3))
         np.testing.assert_array_equal(uniforms.reshape(2, 4, 2), same.uniform("gnss", 4, 2))
         assert normals.reshape(2, 4, 3)[used].all()
@@ -102,7 +103,8 @@ def test_without_places_kernels_draw_for_all_satellites() -> None:
     streams, same = Streams(SEEDS), Streams(SEEDS)
     assert streams.draws_by_row
     normals, uniforms = np.empty((2, 12)), np.empty((2, 8))
-    draw_normals_at(0, 2, streams.states("gnss"), streams.places, ZIGGURAT, normals)
-    draw_uniforms_at(0, 2, streams.states("gnss"), streams.places, uniforms)
+    for v, generator in enumerate(streams.states("gnss")):
+        draw_normals(generator, v, streams.places, ZIGGURAT, normals[v])
+        draw_uniforms(generator, v, streams.places, uniforms[v])
     np.testing.assert_array_equal(normals, same.normal("gnss", 12))
     np.testing.assert_array_equal(uniforms, same.uniform("gnss", 8))

@@ -20,6 +20,8 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.compile_ahead import Ahead
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.navigators.rtk_reckoning.epoch import EpochStages
+from lanebound.integrity.navigators.rtk_reckoning.epoch_kernel import locate
 
 SOURCE = """
 from lanebound.integrity.core.accel import jit
@@ -205,15 +207,15 @@ def test_the_heaviest_kernels_come_first(kernels):
 
 
 def test_the_expected_types_are_those_of_an_epoch(monkeypatch):
+    made, seen = [], []
+
+    def spy(first, last, epoch):
+        seen.append(numba.typeof(epoch))
+        locate(first, last, epoch)
+
+    monkeypatch.setattr(EpochStages, "compile_ahead", lambda self, make: made.append(numba.typeof(make())))
     navigator = Navigator.nominal(NavigatorConfig(), seeds=[1], duration_s=60.0)
-    seen = []
-    (chain,) = navigator._stages._parts
-
-    def spy(first, last, lasting, inputs):
-        seen.append(numba.typeof(chain._whole(*lasting.values, *inputs)))
-        chain(first, last, lasting, inputs)
-
-    monkeypatch.setattr(navigator._stages, "_parts", [spy])
+    monkeypatch.setattr(navigator._stages, "_faultless", [spy])
     rest = np.zeros((1, 2))
     navigator.step(truth_between(0.1, 0.1, (rest, rest), (rest, rest), (np.zeros(1), np.zeros(1))))
-    assert seen == [numba.typeof(navigator._blank_epoch())]
+    assert made[-1:] == seen

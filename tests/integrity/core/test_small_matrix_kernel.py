@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from signal_records import rows_of
 
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, hdop_of, invert_3x3, invert_upper, multiply_3
 
@@ -84,20 +85,20 @@ def test_hdop_by_definition(seed: int, n: int, systems: int) -> None:
     design = np.hstack([-e[member], clocks])
     if np.linalg.matrix_rank(design) == design.shape[1] and np.linalg.cond(design) < 1e3:
         q = np.linalg.inv(design.T @ design)
-        assert hdop_of(e, group, member) == pytest.approx(math.sqrt(q[0, 0] + q[1, 1]), rel=1e-9)
+        assert hdop_of(rows_of(e, group, member)) == pytest.approx(math.sqrt(q[0, 0] + q[1, 1]), rel=1e-9)
 
 
 def test_hdop_of_a_symmetric_sky() -> None:
     """Four satellites at the horizon, one overhead: the horizontal normal matrix is diag(2, 2)."""
     e = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
-    assert hdop_of(e, np.zeros(5, np.int64), np.ones(5, bool)) == pytest.approx(1.0, rel=1e-14)
+    assert hdop_of(rows_of(e, np.zeros(5, np.int64), np.ones(5, bool))) == pytest.approx(1.0, rel=1e-14)
 
 
 def test_hdop_is_infinite_without_a_position() -> None:
     e, group = directions(1, 9), np.arange(9) % MAX_GROUPS
-    assert hdop_of(e, np.zeros(9, np.int64), np.zeros(9, bool)) == math.inf
-    assert hdop_of(e, np.zeros(9, np.int64), np.arange(9) < 3) == math.inf
-    assert hdop_of(e, group, np.arange(9) < MAX_GROUPS) == math.inf  # each alone with its clock
+    assert hdop_of(rows_of(e, np.zeros(9, np.int64), np.zeros(9, bool))) == math.inf
+    assert hdop_of(rows_of(e, np.zeros(9, np.int64), np.arange(9) < 3)) == math.inf
+    assert hdop_of(rows_of(e, group, np.arange(9) < MAX_GROUPS)) == math.inf  # each alone with its clock
 
 
 @given(seeds)
@@ -106,5 +107,5 @@ def test_hdop_ignores_who_is_alone_or_absent(seed: int) -> None:
     member[-1] = False
     alone = group.copy()
     alone[-1] = 3
-    expected = hdop_of(e, group, member)
-    assert hdop_of(e, alone, np.ones(12, bool)) == pytest.approx(expected, rel=1e-12)
+    expected = hdop_of(rows_of(e, group, member))
+    assert hdop_of(rows_of(e, alone, np.ones(12, bool))) == pytest.approx(expected, rel=1e-12)

@@ -175,3 +175,17 @@ def test_normal_draws_have_unit_variance_and_no_correlation(args):
     means = np.sqrt(draws.shape[1]) * draws.mean(axis=1)
     low, high = chi2.ppf([tail, 1.0 - tail], df=len(means))
     assert low < np.sum(means**2) < high
+
+
+def test_streams_taken_together_go_on_as_they_would_apart() -> None:
+    apart, together = Streams([1, 2]), Streams([1, 2])
+    for streams in (apart, together):
+        streams.normal("gnss", 3)
+    block = together.together(("clock", "gnss"))
+    assert block.shape == (2, 2, 4)
+    assert together.together(("clock", "gnss")) is block
+    twin = together.snapshot()
+    for streams in (together, twin):  # a copy has rows of its own
+        for k, name in enumerate(("clock", "gnss")):
+            np.testing.assert_array_equal(streams.normal(name, 5), apart.snapshot().normal(name, 5))
+            np.testing.assert_array_equal(streams.together(("clock", "gnss"))[k], streams.states(name))

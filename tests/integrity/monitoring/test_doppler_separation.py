@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
+from signal_records import records_of, rows_of
 
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring import doppler_separation_kernel as dk
-from lanebound.integrity.positioning.rows_kernel import Rows
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import FAULT
+from lanebound.integrity.positioning.rtk_kernel import SATELLITE
 
 Array = NDArray[np.float64]
 DT, PHI, WHITE = 0.1, float(np.exp(-0.1 / 0.54)), 0.5
 SYSTEM = np.array([0, 0, 0, 0, 0, 2, 2])
 MODES = 7 + 3  # satellites, then systems
-WIDTH = 16
-PRIOR = np.zeros(WIDTH)
-PRIOR[:MODES] = 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4, 1e-8, 1e-4, 1e-4
+PRIOR = np.array([1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4, 1e-8, 1e-4, 1e-4])
 ALL = np.ones(7, dtype=np.bool_)
 EACH = [np.arange(7) == k for k in range(7)] + [g == SYSTEM for g in range(3)]  # satellites of each mode
 
@@ -39,33 +42,37 @@ def _velocity(los: Array, variance: Array, y: Array, used: NDArray[np.bool_]) ->
     return (inverse @ design.T @ (y[used] / variance[used]))[:3], inverse[:3, :3]
 
 
-def _blank(kind: Any) -> Any:
-    return kind(*(np.zeros(WIDTH) for _ in kind._fields))
-
-
 def _influences(
     los: Array, used: NDArray[np.bool_], variance: Array, y: Array, spendable: float = 0.0
-) -> tuple[Any, Array, Array]:
+) -> tuple[Records, Array, Array]:
     """Influences on one velocity, that velocity and its covariance."""
     v, q = _velocity(los, variance, y, used)
-    out, scratch = _blank(dk.Influences), dk.centred_scratch(7)
-    dk.centre_rows(Rows(los, np.zeros(7, np.int64), variance, np.where(used, y, np.nan), used), v, scratch)
-    dk.find_satellite_influences(q, scratch, out)
-    dk.find_system_influences(q, SYSTEM, PRIOR, spendable, scratch, out)
-    return out, v, q
+    faults, centred, sums = np.zeros(MODES, FAULT), np.zeros(7, dk.CENTRED), np.zeros(MAX_GROUPS + 1, dk.SUMS)
+    dk.centre_rows(rows_of(los, 0, used, variance, np.where(used, y, np.nan)), v, centred, sums)
+    dk.find_satellite_influences(q, centred, sums, faults)
+    satellites = records_of(SATELLITE, 7, system=SYSTEM)
+    dk.find_system_influences(q, satellites, PRIOR, spendable, centred, sums, faults)
+    return faults["now"].copy(), v, q
+
+
+@numba.njit
+def _advance(t: Any, weight: float, last: Records, now: Records, separations: Records) -> None:
+    for k in range(separations.shape[0]):
+        dk.advance_separation(t, weight, last[k], now[k], separations[k])
 
 
 class _Monitor:
     """Separations of a position that Doppler moves in every epoch."""
 
     def __init__(self) -> None:
-        self.last, self.now, self.separations = _blank(dk.Influences), _blank(dk.Influences), _blank(dk.Separations)
+        self.last, self.now = np.zeros(MODES, dk.INFLUENCE), np.zeros(MODES, dk.INFLUENCE)
+        self.separations = np.zeros(MODES, dk.SEPARATION)
         self.had, self.weight = False, 0.0
 
     def step(self, los: Array, used: NDArray[np.bool_], variance: Array, y: Array) -> None:
         self.now = _influences(los, used, variance, y)[0]
         t = dk.trapezoid(DT, self.had, PHI, WHITE)
-        dk.advance_separations(t, self.weight, self.last, self.now, self.separations)
+        _advance(t, self.weight, self.last, self.now, self.separations)
         self.last, self.had, self.weight = self.now, True, t.now
 
 
@@ -91,15 +98,15 @@ def _run(epochs: int, rng: np.random.Generator) -> tuple[_Monitor, Array]:
 def test_separation_is_that_of_positions_without_the_mode() -> None:
     a, apart = _run(60, np.random.default_rng(1))
     s = a.separations
-    np.testing.assert_allclose(np.column_stack([s.d_e, s.d_n])[:MODES], apart, rtol=1e-9, atol=1e-12)
-    assert s.state.tolist() == [dk.MONITORED] * 7 + [dk.LOST, dk.IDLE, dk.MONITORED] + [dk.IDLE] * 6
+    np.testing.assert_allclose(np.column_stack([s["d_e"], s["d_n"]]), apart, rtol=1e-9, atol=1e-12)
+    assert s["state"].tolist() == [dk.MONITORED] * 7 + [dk.LOST, dk.IDLE, dk.MONITORED]
 
 
 def test_covariance_without_a_mode_is_the_fault_free_one_and_that_of_the_separation() -> None:
     los, variance = _sky()
     found, _, q = _influences(los, ALL, variance, np.zeros(7))
     for k in (*range(7), 9):
-        factor = np.array([[found.l_ee[k], 0.0], [found.l_ne[k], found.l_nn[k]]])
+        factor = np.array([[found["l_ee"][k], 0.0], [found["l_ne"][k], found["l_nn"][k]]])
         without = _velocity(los, variance, np.zeros(7), ~EACH[k])[1]
         np.testing.assert_allclose(q[:2, :2] + factor @ factor.T, without[:2, :2], rtol=1e-9)
 
@@ -115,14 +122,14 @@ def test_covariance_is_that_of_simulated_separations() -> None:
         both = error + np.sqrt(WHITE) * rng.normal(size=error.shape)
         for a, y in zip(monitors, np.sqrt(variance) * both, strict=True):
             a.step(los, ALL, variance, y)
-    states = dk.Separations(*(np.stack(x) for x in zip(*(a.separations for a in monitors), strict=True)))
+    states = np.stack([a.separations for a in monitors])
     low, high = chi2.ppf([0.5e-3 / 17, 1.0 - 0.5e-3 / 17], df=drives)
     for k in (*range(7), 9):
-        assert low < (states.d_e[:, k] ** 2).sum() / states.s_ee[0, k] < high
-        assert low < (states.d_n[:, k] ** 2).sum() / states.s_nn[0, k] < high
-    s_ee, s_en, s_nn = states.s_ee[0, 9], states.s_en[0, 9], states.s_nn[0, 9]
+        assert low < (states["d_e"][:, k] ** 2).sum() / states["s_ee"][0, k] < high
+        assert low < (states["d_n"][:, k] ** 2).sum() / states["s_nn"][0, k] < high
+    s_ee, s_en, s_nn = (states[name][0, 9] for name in ("s_ee", "s_en", "s_nn"))
     factor = np.linalg.cholesky(np.array([[s_ee, s_en], [s_en, s_nn]]))
-    white = np.linalg.solve(factor, np.stack([states.d_e[:, 9], states.d_n[:, 9]]))
+    white = np.linalg.solve(factor, np.stack([states["d_e"][:, 9], states["d_n"][:, 9]]))
     assert abs(np.corrcoef(white)[0, 1]) < norm.isf(0.5e-3 / 17) / np.sqrt(drives)
 
 
@@ -138,7 +145,8 @@ def test_a_drift_shows_in_the_separation_and_is_bounded_whatever_it_does() -> No
             error = PHI * error + np.sqrt(1.0 - PHI**2) * rng.normal(size=7)
             a.step(los, ALL, variance, np.sqrt(variance) * error + fault)
         moved = 100 * DT * (_velocity(los, variance, fault, ALL)[0] - _velocity(los, variance, fault * 0.0, ALL)[0])[0]
-        exceeded += bool(abs(moved) > abs(a.separations.d_e[4]) + k_f * np.sqrt(a.separations.s_ee[4]))
+        mine = a.separations[4]
+        exceeded += bool(abs(moved) > abs(mine["d_e"]) + k_f * np.sqrt(mine["s_ee"]))
     assert exceeded <= 4  # expected 0.3 or less: a binomial of 60 with p = 0.01 exceeds 4 once in 2600 runs
 
 
@@ -147,17 +155,16 @@ def test_modes_that_the_velocity_needs_are_lost() -> None:
     few = ALL.copy()
     few[[1, 3, 5]] = False
     found, _, _ = _influences(los, few, variance, np.zeros(7))
-    assert found.state[:7].tolist() == np.where(few, dk.LOST, dk.IDLE).tolist()
-    assert found.state[7:].tolist() == [dk.LOST, dk.IDLE, dk.LOST] + [dk.IDLE] * 6
-    total, squares, lost = dk.exposure(PRIOR, found.state)
+    assert found["state"].tolist() == [*np.where(few, dk.LOST, dk.IDLE), dk.LOST, dk.IDLE, dk.LOST]
+    total, squares, lost = dk.exposure(PRIOR, found)
     assert total == lost == pytest.approx(1e-5 * 3 + 1e-4 + 1e-8 + 1e-4)
     assert squares == pytest.approx(1e-10 * 3 + 2e-8, rel=1e-6)
 
 
 def test_the_prior_of_a_mode_counts_from_its_first_use() -> None:
-    state = np.zeros(WIDTH)
-    state[[0, 1, 2, 3, 7]], state[9] = dk.MONITORED, dk.LOST
-    total, squares, lost = dk.exposure(PRIOR, state)
+    separations = np.zeros(MODES, dk.SEPARATION)
+    separations["state"][[0, 1, 2, 3, 7]], separations["state"][9] = dk.MONITORED, dk.LOST
+    total, squares, lost = dk.exposure(PRIOR, separations)
     assert lost == 1e-4
     assert total == pytest.approx(4e-5 + 1e-8 + 1e-4)
     assert squares == pytest.approx(4e-10 + 1e-16 + 1e-8)
@@ -171,27 +178,28 @@ def test_a_system_of_small_prior_is_lost_where_the_velocity_without_it_is_poor()
         found, _, q = _influences(los, ALL, of_rows, np.zeros(7), 1.0)
         without = _velocity(los, of_rows, np.zeros(7), SYSTEM == 0)[1]
         poor = without[0, 0] + without[1, 1] > dk.POOR * (q[0, 0] + q[1, 1])
-        assert found.state[9] == (dk.LOST if poor else dk.MONITORED)
+        assert found["state"][9] == (dk.LOST if poor else dk.MONITORED)
     assert poor
 
 
 def test_where_doppler_does_not_move_the_position_the_separation_stays_and_its_correlation_fades() -> None:
     a, _ = _run(20, np.random.default_rng(5))
-    before = dk.Separations(*(x.copy() for x in a.separations))
-    dk.fade_separations(PHI, a.separations)
-    for name in before._fields:
+    before = a.separations.copy()
+    for s in a.separations:
+        dk.fade_separation(PHI, s)
+    for name in dk.SEPARATION.fields:
         factor = PHI if name.startswith(("ne_", "nn_")) else 1.0
-        np.testing.assert_array_equal(getattr(a.separations, name), factor * getattr(before, name))
+        np.testing.assert_array_equal(a.separations[name], factor * before[name])
 
 
 def test_the_worst_separation_is_the_largest_of_the_monitored_modes() -> None:
     a, _ = _run(20, np.random.default_rng(6))
     s, sine, cosine, sigma, by_heading, k_f = a.separations, 0.6, 0.8, 0.3, 0.05, 4.0
-    sigma_d = np.sqrt(sine**2 * s.s_ee + 2 * sine * cosine * s.s_en + cosine**2 * s.s_nn)
-    level = np.abs(sine * s.d_e + cosine * s.d_n) + k_f * np.hypot(sigma, sigma_d + by_heading)
+    sigma_d = np.sqrt(sine**2 * s["s_ee"] + 2 * sine * cosine * s["s_en"] + cosine**2 * s["s_nn"])
+    level = np.abs(sine * s["d_e"] + cosine * s["d_n"]) + k_f * np.hypot(sigma, sigma_d + by_heading)
     worst = dk.worst_separation(sine, cosine, sigma, by_heading, k_f, s)
-    assert worst == pytest.approx(level[s.state == dk.MONITORED].max(), rel=1e-12)
-    s.state[:] = dk.LOST
+    assert worst == pytest.approx(level[s["state"] == dk.MONITORED].max(), rel=1e-12)
+    s["state"] = dk.LOST
     assert dk.worst_separation(sine, cosine, sigma, by_heading, k_f, s) == 0.0
 
 

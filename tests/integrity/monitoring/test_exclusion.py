@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom
+from signal_records import rows_of
 
 from lanebound.integrity.monitoring import detection_kernel
 from lanebound.integrity.monitoring.detection import diagonal_covariance
@@ -21,7 +22,6 @@ from lanebound.integrity.monitoring.exclusion import (
     fde_thresholds,
 )
 from lanebound.integrity.monitoring.significance import Linking
-from lanebound.integrity.positioning.rows_kernel import Rows
 
 Array = NDArray[np.float64]
 
@@ -129,10 +129,11 @@ def compare(
     code, df, count = (np.empty(B, dtype=np.int64) for _ in range(3))
     statistic, worst = np.empty(B), np.empty(B)
     for v in range(B):
-        rows = Rows(los[v], group, variance[v], y[v], mask[v])
+        rows = rows_of(los[v], group, used[v], variance[v], y[v], owner)
         code[v], statistic[v], worst[v], df[v], count[v] = detection_kernel.detect_and_exclude(
-            rows, owner, heading, thresholds, rules, x[v], Q[v]
+            rows, heading, thresholds, rules, x[v], Q[v]
         )
+        mask[v] = rows["used"]
     ref = detect_and_exclude(
         config, design_of(los, group), diagonal_covariance(variance), y, used, modes=modes, heading_rad=heading
     )

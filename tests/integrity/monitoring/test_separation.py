@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from signal_records import rows_of
 
 from fault_rows import constellation_modes, satellite_modes
 from lanebound.integrity.core.errors import InputError
@@ -105,7 +106,7 @@ def test_kernel_equals_reference(n: int, systems: int) -> None:
         np.testing.assert_allclose(geo.residual[:n], fix.residual, atol=1e-9)
         assert geo.fix["chi2"][0] == pytest.approx(float(fix.chi2), rel=1e-9)
         expected = dilution(design_matrix(case.los, case.group, systems), np.eye(n))
-        assert hdop_of(case.los, case.group, np.ones(n, dtype=np.bool_)) == pytest.approx(float(expected.hdop))
+        assert hdop_of(rows_of(case.los, case.group, np.ones(n, dtype=np.bool_))) == pytest.approx(float(expected.hdop))
 
 
 @pytest.mark.parametrize(("n", "systems"), [(9, 1), (14, 3), (30, 4)])

@@ -9,17 +9,24 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom
+from signal_records import records_of
 
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH
-from lanebound.integrity.monitoring.doppler_separation_kernel import Separations
+from lanebound.integrity.monitoring.doppler_separation_kernel import SEPARATION
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.navigators.services.config import CodeServiceConfig, CouplingConfig
 from lanebound.integrity.navigators.services.coupling import coupling_rules
 from lanebound.integrity.navigators.services.coupling_kernel import fault_bound, rotated, shares_of, transform
 from lanebound.integrity.navigators.services.coupling_records_kernel import Part
-from lanebound.integrity.navigators.services.tight_kernel import Aided, gain_of, share_of_ranges, solve_aided
+from lanebound.integrity.navigators.services.tight_kernel import (
+    AIDED_RANGE,
+    Aided,
+    gain_of,
+    share_of_ranges,
+    solve_aided,
+)
 from lanebound.integrity.positioning.modes import Mode
 
 Array = NDArray[np.float64]
@@ -90,17 +97,19 @@ def test_what_remains_of_dead_reckoning_is_transformed_as_its_error() -> None:
     for name in names:
         g[name] = rng.normal()
     before = g.copy()
-    s = Separations(*(rng.normal(size=8) for _ in Separations._fields))
-    d, ee, en, nn = (v.copy() for v in (np.array([s.d_e, s.d_n]), s.s_ee, s.s_en, s.s_nn))
+    s = np.zeros(8, SEPARATION)
+    for name in SEPARATION.names:
+        s[name] = rng.normal(size=8)
+    d, ee, en, nn = np.array([s["d_e"], s["d_n"]]), *(s[name].copy() for name in ("s_ee", "s_en", "s_nn"))
     transform(a, g[0], s)
     for east, north in (("th_e", "th_n"), ("od_e", "od_n"), ("cth_e", "cth_n"), ("ne_e", "nn_e"), ("fs_e", "fs_n")):
         np.testing.assert_allclose([g[east][0], g[north][0]], a @ [before[east][0], before[north][0]])
     np.testing.assert_allclose([g["box_e"][0], g["box_n"][0]], np.abs(a) @ [before["box_e"][0], before["box_n"][0]])
-    np.testing.assert_allclose([s.d_e, s.d_n], a @ d)
+    np.testing.assert_allclose([s["d_e"], s["d_n"]], a @ d)
     for k in range(8):
         p = a @ np.array([[ee[k], en[k]], [en[k], nn[k]]]) @ a.T
         np.testing.assert_allclose(rotated(a, ee[k], en[k], nn[k]), (p[0, 0], p[0, 1], p[1, 1]))
-        np.testing.assert_allclose((s.s_ee[k], s.s_en[k], s.s_nn[k]), (p[0, 0], p[0, 1], p[1, 1]))
+        np.testing.assert_allclose((s["s_ee"][k], s["s_en"][k], s["s_nn"][k]), (p[0, 0], p[0, 1], p[1, 1]))
     unchanged = {"p_ee", "p_en", "p_nn", "l_ee", "l_ne", "l_nn", "have_l"}
     assert all(g[name][0] == before[name][0] for name in unchanged)
 
@@ -113,10 +122,11 @@ def _aided(n: int, seed: int = 5) -> Aided:
     los /= np.linalg.norm(los, axis=1, keepdims=True)
     fast, slow = rng.uniform(0.5, 2.0, (2, n))
     prior = np.linalg.inv(np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 0.0], [0.0, 0.0, 2.0]]))
-    return Aided(
-        los, np.arange(n) % 2, rng.normal(size=n), 1.0 / (21.0 * fast + 2.0 * slow), fast, slow, np.full(n, 1e-5),
-        prior, np.zeros((3, 3)), np.zeros(3), np.zeros((n, 3)),
+    ranges = records_of(
+        AIDED_RANGE, n, e=los, group=np.arange(n) % 2, y=rng.normal(size=n), weight=1.0 / (21.0 * fast + 2.0 * slow),
+        fast=fast, slow=slow, odds=1e-5,
     )  # fmt: skip
+    return Aided(ranges, prior, np.zeros((3, 3)), np.zeros(3))
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 9])
@@ -126,18 +136,18 @@ def test_ranges_of_any_number_correct_the_position_as_least_squares_with_a_prior
     removed = np.zeros(n, bool)
     assert solve_aided(removed, aided)
     shift, inverse = aided.shift.copy(), aided.inverse.copy()
-    clocks = np.eye(2)[aided.group]
-    design = np.hstack([-aided.los, clocks])
-    normal = design.T @ (aided.weight[:, None] * design)
+    ranges = aided.ranges
+    design = np.hstack([-ranges["e"], np.eye(2)[ranges["group"]]])
+    normal = design.T @ (ranges["weight"][:, None] * design)
     normal[:3, :3] += aided.prior
     dense = np.linalg.inv(normal)
     np.testing.assert_allclose(inverse, dense[:3, :3], rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(shift, (dense @ design.T @ (aided.weight * aided.y))[:3], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(shift, (dense @ design.T @ (ranges["weight"] * ranges["y"]))[:3], rtol=1e-8, atol=1e-10)
     part, a = Part(np.zeros(3), np.zeros(3), np.zeros((1, 2))), np.zeros((2, 2))
     share_of_ranges(aided, 1.0, part, a)
-    gains = dense[:2] @ design.T * aided.weight
+    gains = dense[:2] @ design.T * ranges["weight"]
     np.testing.assert_allclose([gain_of(i, aided) for i in range(n)], gains.T, rtol=1e-8, atol=1e-10)
-    fast = gains @ np.diag(aided.fast) @ gains.T
+    fast = gains @ np.diag(ranges["fast"]) @ gains.T
     np.testing.assert_allclose(part.fast, (fast[0, 0], fast[0, 1], fast[1, 1]), rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(a, (dense[:3, :3] @ aided.prior)[:2, :2], rtol=1e-8, atol=1e-10)
     removed[0] = True

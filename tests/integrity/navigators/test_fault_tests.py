@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from plain_closed_form import plain_levels
 from scipy.stats import binom, chi2, norm
+from signal_records import rows_of
 
 from fault_rows import constellation_modes
 from lanebound.integrity.core.frames import track_from_enu_matrix
@@ -32,7 +33,6 @@ from lanebound.integrity.positioning import geometry_kernel as gk
 from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.reflection_odds_kernel import LARGEST_SET, find_sets
-from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.systems import System
@@ -202,8 +202,8 @@ def run_test(config: NavigatorConfig, case: Case, y: Array) -> NDArray[np.int64]
     thresholds, rules = fde_thresholds(config.tests, case.n, whole), fde_parameters(config.tests, whole)[0]
     x, q, out = np.empty(3), np.empty((3, 3)), np.empty(len(y), np.int64)
     for k, row in enumerate(y):
-        rows = Rows(case.los, case.group, case.accuracy, row, np.ones(case.n, np.bool_))
-        out[k] = detect_and_exclude(rows, case.group, case.heading, thresholds, rules, x, q)[0]
+        rows = rows_of(case.los, case.group, True, case.accuracy, row)
+        out[k] = detect_and_exclude(rows, case.heading, thresholds, rules, x, q)[0]
     return out
 
 
@@ -277,13 +277,12 @@ def test_an_exclusion_takes_the_whole_constellation() -> None:
     assert isinstance(config, RtkReckoningConfig)
     case = Case.of(4, 18, 3)
     shift = -case.los @ np.array([30.0, 20.0, 0.0]) * (case.group == 1)
-    used, x = np.ones(case.n, np.bool_), np.empty(3)
-    rows = Rows(case.los, case.group, case.accuracy, shift, used)
+    x, rows = np.empty(3), rows_of(case.los, case.group, True, case.accuracy, shift)
     thresholds, rules = fde_thresholds(config.tests, case.n, True), fde_parameters(config.tests, True)[0]
-    outcome = detect_and_exclude(rows, case.group, 0.3, thresholds, rules, x, np.empty((3, 3)))
+    outcome = detect_and_exclude(rows, 0.3, thresholds, rules, x, np.empty((3, 3)))
     assert outcome[0] == FdeOutcome.EXCLUDED.code
     assert outcome[4] == 6
-    assert (used == (case.group != 1)).all()
+    assert (rows["used"] == (case.group != 1)).all()
     np.testing.assert_allclose(x, 0.0, atol=1e-9)
 
 

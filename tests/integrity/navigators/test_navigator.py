@@ -638,7 +638,8 @@ def test_levels_in_a_tunnel_are_those_of_the_plain_form() -> None:
     sound = {"satellite_prior": (0.0,) * 5, "doppler_constellation_prior": (0.0,) * 5}
     navigator = _navigator(CALM.replace(more_levels=more, risk=sound), mask=_tunnel(150.0, 400.0))
     run = _Cars(navigator).drive(20.0)
-    g, start = navigator.state.belief.growth[:, LATEST], navigator.state.belief.starts[:, LATEST]
+    belief = navigator.state.belief
+    g, start = belief.vehicles["growth"][:, LATEST], belief.starts[:, LATEST]
     wrong = CALM.positioning.rtk.ambiguity_risk_share * RISK
     for r, case in enumerate(navigator.config.cases):
         growth = initial_growth(run.covariance_en_m2[-1], np.zeros((4, 2)), 0.0)
@@ -755,7 +756,8 @@ def test_a_placed_vehicle_starts_from_its_prior_and_leaves_the_others_alone() ->
     navigator = Navigator.nominal(NavigatorConfig(), [1, 2, 3])
     before = navigator.state.belief.vehicles.copy()
     navigator.place(np.array([[4.0, -2.0]]), np.array([0.3]), 0.05, 0.01, np.array([1]))
-    vehicles, growth = navigator.state.belief.vehicles, navigator.state.belief.growth[1]
+    vehicles = navigator.state.belief.vehicles
+    growth = vehicles["growth"][1]
     assert vehicles["position"][1].tolist() == [4.0, -2.0, 0.0]
     assert vehicles["heading"]["angle"][1] == 0.3
     np.testing.assert_array_equal(vehicles[[0, 2]], before[[0, 2]])

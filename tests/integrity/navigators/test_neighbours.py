@@ -73,7 +73,7 @@ def test_two_navigators_have_the_same_area_whenever_they_begin():
     early, late = _navigator([1], 7), _navigator([2, 3], 7)
     _drive(early, 5.0)
     _drive(late, 2.0, first=31)
-    for name in ("memory", "message", "clock", "reference_enu_m"):
+    for name in ("memory", "message", "site"):
         one, two = (getattr(n.state.area.signals, name) for n in (early, late))
         np.testing.assert_array_equal(one, two)
 

@@ -33,7 +33,6 @@ from lanebound.integrity.navigators.navigator import (
 )
 from lanebound.integrity.navigators.rtk_reckoning import monitors
 from lanebound.integrity.navigators.rtk_reckoning.monitors import Point
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Measured
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
@@ -209,7 +208,7 @@ def test_threads_share_the_work_of_a_monitor(interference: AlertReason) -> None:
 
 def test_a_level_that_a_monitor_lowers_is_refused() -> None:
     def lower(first: int, last: int, epoch: object, own: object) -> None:
-        epoch.out.levels[first:last] = 0.0  # type: ignore[attr-defined]
+        epoch.levels[first:last] = 0.0  # type: ignore[attr-defined]
 
     monitors.register_monitor("optimist", "nothing", (), {Point.BOUNDED: lower})
     navigator = _tunnel(NavigatorConfig.load({"monitors": ["optimist"]}), [1])
@@ -220,7 +219,7 @@ def test_a_level_that_a_monitor_lowers_is_refused() -> None:
 @pytest.mark.parametrize("point", [Point.MEASURED, Point.FIX, Point.JUDGED])
 def test_levels_are_raised_at_the_end_alone(point: Point) -> None:
     def widen(first: int, last: int, epoch: object, own: object) -> None:
-        epoch.out.levels[first:last] = 7.0 + np.abs(np.nan_to_num(epoch.out.levels[first:last], posinf=1e9))  # type: ignore[attr-defined]
+        epoch.levels[first:last] = 7.0 + np.abs(np.nan_to_num(epoch.levels[first:last], posinf=1e9))  # type: ignore[attr-defined]
 
     monitors.register_monitor("early", "nothing", (), {point: widen})
     navigator = _tunnel(NavigatorConfig.load({"monitors": ["early"]}), [1])
@@ -230,7 +229,7 @@ def test_levels_are_raised_at_the_end_alone(point: Point) -> None:
 
 def test_levels_of_rtk_are_not_lowered_by_a_monitor() -> None:
     def shrink(first: int, last: int, epoch: object, own: object) -> None:
-        epoch.work.fixed_levels[first:last] *= 0.01  # type: ignore[attr-defined]
+        epoch.fixed_levels[first:last] *= 0.01  # type: ignore[attr-defined]
 
     monitors.register_monitor("shrinking", "nothing", (), {Point.ESTIMATED: shrink})
     navigator = _tunnel(NavigatorConfig.load({"monitors": ["shrinking"]}), [1])
@@ -247,15 +246,10 @@ def test_a_monitor_that_does_nothing_changes_nothing_and_one_without_a_reason_is
         monitors.register_monitor("mute", "", (), {Point.BOUNDED: lambda *_: None}, reason=AlertReason.NONE)
 
 
-def test_the_table_lists_the_monitors_of_the_package() -> None:
-    assert list(monitors.BUILT_IN) == [
-        "doppler_fde", "phase_separation", "doppler_separation", "odometer_watch", "drift", "jump", "heading",
-    ]  # fmt: skip
-    for monitor in monitors.BUILT_IN.values():
-        assert monitor.stages
-        assert set(monitor.needs) <= set(Measured._fields)
+def test_a_monitor_of_a_taken_name_or_without_measurements_or_stages_is_refused(interference: AlertReason) -> None:
     for name, needs, message in (
-        ("jump", (), "must not be taken"), ("own", ("radar",), "needs must be among"), ("own", (), "must hold one"),
+        ("interference", (), "must not be taken"), ("own", ("radar",), "needs must be among"),
+        ("own", ("cn0", "delta_v"), "must hold one"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=message):
             monitors.register_monitor(name, "", needs, {})

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from signal_records import records_of, rows_of
 
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.navigators.services.fix_kernel import takes
+from lanebound.integrity.navigators.services.records_kernel import PART, SERVICE_LABEL, SERVICE_WORK, ServiceRows
 from lanebound.integrity.navigators.services.stage import band_shares, service_tables
 from lanebound.integrity.navigators.services.table import SERVICES
 from lanebound.integrity.navigators.services.zenith_kernel import zenith_of_epoch
 from lanebound.integrity.positioning.code_errors_kernel import troposphere_slant
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.rows_kernel import ROW
 from lanebound.integrity.sky.systems import WAVELENGTH_M, System
 
 L1_L5: dict[str, Any] = {"gnss": {"bands": [0, 2]}}
@@ -180,7 +182,7 @@ def test_the_zenith_delay_of_an_epoch_is_found_exactly() -> None:
     slant = np.array([troposphere_slant(s) for s in los[:, 2]])
     y = -los @ np.array([3.0, -2.0, 1.0]) + 0.123 * slant + np.where(system == 0, 50.0, -20.0)
     variance = rng.uniform(0.5, 2.0, 14)
-    found, value, spread = zenith_of_epoch(los, system, y, variance, used)
+    found, value, spread = zenith_of_epoch(rows_of(los, system, used, variance, y))
     assert found
     assert value == pytest.approx(0.123, abs=1e-9)
     design = np.column_stack([-los, slant, system == 0, system == 1])
@@ -223,10 +225,11 @@ def _takes(level: float, reckoned: float, latest: Mode, found_before: float = np
     system = np.array([0, 1], np.int64)
     service = service_tables(config, SERVICES["sbas_dfmc"], system)  # type: ignore[arg-type]
     assert service.later.tolist() == [int(Mode.SPP)]
-    rows = SimpleNamespace(latest=np.array([int(latest)]), least=np.array([2.0 * found_before**2]))
-    service = service._replace(rules=service.rules.view(np.recarray))  # fields by name, as compiled
-    taken = takes.py_func(0, np.full((1, 2), level), np.full((1, 2), reckoned), service, rows)
-    assert rows.least[0] == pytest.approx(2.0 * min(level, found_before) ** 2)
+    work = records_of(SERVICE_WORK, 1, least=2.0 * found_before**2)
+    labels = records_of(SERVICE_LABEL, 1, latest=int(latest))
+    rows = ServiceRows(np.zeros((1, 2), ROW), np.zeros((1, 2), PART), work, labels)
+    taken = takes(0, np.full((1, 2), level), np.full((1, 2), reckoned), service, rows)
+    assert work["least"][0] == pytest.approx(2.0 * min(level, found_before) ** 2)
     return bool(taken)
 
 

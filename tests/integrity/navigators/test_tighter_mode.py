@@ -87,7 +87,7 @@ def test_the_velocity_of_an_epoch_by_odometer_counts_in_the_next_trapezoid() -> 
     for k in range(150):
         place = tuple(np.tile([0.0, 1.3 * n], (2, 1)) for n in (k, k + 1))
         s = navigator.step(truth_between(0.1 * (k + 1), 0.1, place, (velocity, velocity), (heading, heading)))
-    growth = navigator.state.belief.growth
+    growth = navigator.state.belief.vehicles["growth"]
     assert (s.mode == Mode.IMU_ODOMETER).all()
     assert growth["have_l"].all()
     assert (growth["l_ee"] > 0.0).all()

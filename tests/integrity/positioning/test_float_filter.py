@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, poisson
+from signal_records import records_of
 
 from lanebound.integrity.navigators.rtk_reckoning.navigator import blank_filters
 from lanebound.integrity.positioning.codes_kernel import FIXED
 from lanebound.integrity.positioning.float_filter_kernel import (
-    FilterRow,
+    Filters,
     add_epoch,
     assign_slots,
     drop_slot,
     fade,
+    filter_of,
     filtered_ambiguities,
     follows,
     invert_positive,
@@ -26,6 +28,7 @@ from lanebound.integrity.positioning.parameters import rtk_parameters
 from lanebound.integrity.positioning.resolve_kernel import FloatSource, base_of, float_solution, resolve
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, SATELLITE, Carriers
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
 Array = NDArray[np.float64]
@@ -48,7 +51,7 @@ def sky(seed: int, n: int = N) -> Array:
 class Session:
     """A filter, and the errors, truth and geometry of the epochs that go into it."""
 
-    own: FilterRow
+    own: Filters
     rules: Any
     satellites: NDArray[np.void]
     ambiguities: NDArray[np.void]
@@ -66,10 +69,11 @@ class Session:
         wave, range_m = self.satellites["wavelength"], -(self.los @ x)[:, None]
         code = range_m + clock[:, 0] + code_error
         phase = range_m + clock[:, 1] + wave * self.true + phase_error
-        carriers = Carriers(self.los, self.satellites, phase, np.full(N, self.phase_m**2))
+        signals = records_of(OBSERVED_SIGNAL, N, e=self.los, code=code, phase=phase)
+        carriers = Carriers(self.satellites, signals, np.full(N, self.phase_m**2))
         fade(self.own, gap_s, self.rules)
-        assign_slots(self.own, carriers, code, np.flatnonzero(used), int(used.sum()), self.ambiguities, self.rules)
-        assert add_epoch(self.own, carriers, code, np.full(N, self.code_m**2), used, used, self.rules)
+        assign_slots(self.own, carriers, np.flatnonzero(used), int(used.sum()), self.ambiguities, self.rules)
+        assert add_epoch(self.own, carriers, np.full(N, self.code_m**2), used, used, self.rules)
         return carriers
 
     def floats(
@@ -91,7 +95,7 @@ def session(seed: int = 1, slots: int = 12, stands: bool = False, **floats: floa
     config = RtkConfig(max_candidates=slots, float_solution={"kind": "sequential"})
     true = np.round(np.random.default_rng(seed).uniform(-1e6, 1e6, (N, 2)))
     return Session(
-        FilterRow(*(array[0] for array in blank_filters(1, config, stands)[1:])),
+        filter_of(blank_filters(1, config, stands), 0),
         rules,
         satellites,
         np.zeros(N, AMBIGUITY),
@@ -166,7 +170,7 @@ def test_one_epoch_gives_the_float_solution_of_that_epoch() -> None:
     place = (cov @ g.T @ code.ravel() / CODE_M**2)[:3]
     empty = np.zeros(N, AMBIGUITY)
     source = FloatSource(place, np.ascontiguousarray(cov[:3, :3]), base_of(carriers, empty, 2), s.own, False)
-    wanted = float_solution(carriers, np.ones(N, np.bool_), empty, source, s.rules)
+    wanted = float_solution(carriers, np.ones(N, np.bool_), empty, source, s.own, s.rules)
     assert owner.tolist() == wanted.owner[: wanted.n].tolist()
     np.testing.assert_allclose(a, wanted.ambiguity[: wanted.n], atol=1e-5)
     np.testing.assert_allclose(q, wanted.covariance[: wanted.n, : wanted.n], rtol=1e-6, atol=1e-9)
@@ -188,7 +192,7 @@ def test_white_errors_give_batch_least_squares_with_satellites_that_come_and_go(
         code_error, phase_error = rng.normal(0, CODE_M, (N, 2)), rng.normal(0, PHASE_M, (N, 2))
         carriers = s.add(code_error, phase_error, x, used)
         clock = 100.0 * np.random.default_rng(int(abs(x[0]) * 1e6) % 2**32).standard_normal((2, 2, 2))[SYSTEM]
-        times.append((-(s.los @ x)[:, None] + clock[:, 0] + code_error, carriers.phase, s.los, used))
+        times.append((-(s.los @ x)[:, None] + clock[:, 0] + code_error, carriers.signals["phase"].copy(), s.los, used))
     rows = np.delete(np.arange(N), 7)
     a, q, owner = s.floats(carriers, rows)
     wanted, covariance = batch(s, times, stands)

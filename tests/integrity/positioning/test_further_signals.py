@@ -7,15 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from signal_records import records_of, rows_of
 
 from lanebound.integrity.navigators.rtk_reckoning.navigator import blank_filters
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import MARK
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import find_members
 from lanebound.integrity.positioning.codes_kernel import FIXED, RATIO_FAILED
 from lanebound.integrity.positioning.float_filter_kernel import (
-    FilterRow,
     add_epoch,
     assign_slots,
     fade,
+    filter_of,
     filtered_ambiguities,
     follows,
 )
@@ -23,6 +25,7 @@ from lanebound.integrity.positioning.parameters import rtk_parameters
 from lanebound.integrity.positioning.resolve_kernel import resolve
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, SATELLITE, Carriers
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
 Array = NDArray[np.float64]
@@ -62,7 +65,7 @@ class Filter:
         config = RtkConfig(max_candidates=2 * N + 1, float_solution=FLOATS)
         self.bands, self.satellites, self.n = bands, satellites, len(satellites)
         self.rules: Any = rtk_parameters(config, bands, 1e-5)[0]
-        self.own = FilterRow(*(array[0] for array in blank_filters(1, config)[1:]))
+        self.own = filter_of(blank_filters(1, config), 0)
         self.ambiguities = np.zeros(self.n, AMBIGUITY)
 
     def add(self, code: Array, phase: Array, used: NDArray[np.bool_]) -> Carriers:
@@ -71,13 +74,17 @@ class Filter:
             empty = np.zeros(self.n)
             code, phase = (np.column_stack([a.T.ravel(), empty]) for a in (code, phase))
             used = np.tile(used, 2)
-        los = np.ascontiguousarray(np.tile(sky(), (self.n // N, 1)))
-        carriers = Carriers(los, self.satellites, np.ascontiguousarray(phase), np.full(self.n, PHASE_M**2))
-        code, order = np.ascontiguousarray(code), np.flatnonzero(used)
+        carriers, order = self.carriers(code, phase), np.flatnonzero(used)
         fade(self.own, 1.0, self.rules)
-        assign_slots(self.own, carriers, code, order, order.size, self.ambiguities, self.rules)
-        assert add_epoch(self.own, carriers, code, np.full(self.n, CODE_M**2), used, used, self.rules)
+        assign_slots(self.own, carriers, order, order.size, self.ambiguities, self.rules)
+        assert add_epoch(self.own, carriers, np.full(self.n, CODE_M**2), used, used, self.rules)
         return carriers
+
+    def carriers(self, code: Array | float, phase: Array) -> Carriers:
+        """Carriers of the entries; code, phase (n, 2)."""
+        e = np.tile(sky(), (self.n // N, 1))
+        signals = records_of(OBSERVED_SIGNAL, self.n, e=e, code=code, phase=phase)
+        return Carriers(self.satellites, signals, np.full(self.n, PHASE_M**2))
 
     def floats(self, carriers: Carriers, rows: NDArray[np.int64]) -> dict[tuple[int, int], tuple[float, Array]]:
         """By satellite and band, the ambiguity and its row of the covariance."""
@@ -111,10 +118,9 @@ def test_the_filter_is_that_of_two_bands() -> None:
 def test_a_further_signal_is_followed_only_with_its_satellite() -> None:
     single, used = Filter(apart(), 1), np.ones(2 * N, np.bool_)
     used[3] = False  # the first band of satellite 3
-    los = np.ascontiguousarray(np.tile(sky(), (2, 1)))
-    carriers = Carriers(los, single.satellites, np.ones((2 * N, 2)), np.ones(2 * N))
+    carriers = single.carriers(1.0, np.ones((2 * N, 2)))
     order = np.flatnonzero(used)[::-1].copy()  # further ones first
-    assign_slots(single.own, carriers, np.ones((2 * N, 2)), order, order.size, single.ambiguities, single.rules)
+    assign_slots(single.own, carriers, order, order.size, single.ambiguities, single.rules)
     followed = [follows(single.own.slots, s) >= 0 for s in range(2 * N)]
     assert [s for s in range(2 * N) if not followed[s]] == [3, N + 3]
 
@@ -126,9 +132,7 @@ def test_a_satellite_under_suspicion_is_left_out_with_all_its_signals() -> None:
     x, clock = rng.normal(0.0, 10.0, 3), 50.0 * rng.standard_normal((2, 2))[SYSTEM]
     phase = -(sky() @ x)[:, None] + clock + WAVE * (true + 0.5 * (np.arange(N) == 2)[:, None])
     phase += rng.normal(0.0, 0.001, (N, 2))
-    los = np.ascontiguousarray(np.tile(sky(), (2, 1)))
-    column = np.ascontiguousarray(np.column_stack([phase.T.ravel(), np.zeros(2 * N)]))
-    carriers = Carriers(los, single.satellites, column, np.full(2 * N, PHASE_M**2))
+    carriers = single.carriers(0.0, np.column_stack([phase.T.ravel(), np.zeros(2 * N)]))
     place, q = x + rng.normal(0.0, 0.02, 3), 0.05**2 * np.eye(3)
     for attempts, wanted in ((0, RATIO_FAILED), (1, FIXED)):
         rules, ambiguities = single.rules, np.zeros(2 * N, AMBIGUITY)
@@ -142,7 +146,7 @@ def test_a_satellite_under_suspicion_is_left_out_with_all_its_signals() -> None:
     for system in (0, 1):
         mine = (system == SYSTEM) & (np.arange(N) != 2)
         assert (np.ptp(off[:, mine], axis=1) == 0.0).all()
-    member = np.empty(2 * N, np.bool_)
-    count, positioned = find_members(ambiguities, np.ones(2 * N, np.bool_), single.satellites, rules, member)
+    rows, marks = rows_of(np.tile(sky(), (2, 1)), 0, False), records_of(MARK, 2 * N, used=True)
+    count, positioned = find_members(ambiguities, marks, single.satellites, rules, rows)
     assert (count, positioned) == (N - 1, True)  # positions take the first signals alone
-    assert not member[N:].any()
+    assert rows["used"].tolist() == [s != 2 for s in range(N)] + N * [False]

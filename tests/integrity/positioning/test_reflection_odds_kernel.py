@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from signal_records import records_of
 
 from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import MARK
 from lanebound.integrity.positioning.parameters import rtk_parameters
 from lanebound.integrity.positioning.reflection_odds_kernel import (
     LARGEST_SET,
@@ -21,6 +23,7 @@ from lanebound.integrity.positioning.reflection_odds_kernel import (
 )
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, SATELLITE, UNUSED
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
 
 LIMIT, MOST = 1e-6, 40
 
@@ -96,22 +99,24 @@ def test_odds_grow_with_the_loss_and_stay_while_integers_are_held() -> None:
     los = np.array([[0.0, 0.0, 1.0], [0.0, math.cos(0.5), math.sin(0.5)], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     satellites, ambiguities = np.zeros(4, SATELLITE), np.zeros(4, AMBIGUITY)
     satellites["prior"], ambiguities["held"][2] = 1e-5, True
-    tracked, par = np.array([True, True, True, False]), rules()[0]
-    losses = np.array([0.0, 3.0, 8.0, 8.0])
+    par, losses = rules()[0], np.array([0.0, 3.0, 8.0, 8.0])
     sky = 38.0 + 10.0 * los[:, 2]
-    update_odds(los, sky - losses, tracked, satellites, par, ambiguities)
+    signals = records_of(OBSERVED_SIGNAL, 4, e=los, cn0=sky - losses, tracked=[True, True, True, False])
+    update_odds(signals, satellites, par, ambiguities)
     expected = 1e-5 + 0.1 / (1.0 + np.exp((3.0 - losses) / 0.35))
     np.testing.assert_allclose(ambiguities["odds"][:3], expected[:3], rtol=1e-12)
     assert ambiguities["odds"][3] == 0.0
-    update_odds(los, sky, tracked, satellites, par, ambiguities)
+    signals["cn0"] = sky
+    update_odds(signals, satellites, par, ambiguities)
     assert ambiguities["odds"][2] == pytest.approx(expected[2])  # held
     assert ambiguities["odds"][1] < 1e-4  # not held: present odds
 
 
 def test_the_most_doubtful_are_taken_out_of_use_until_few_sets_are_needed() -> None:
-    ambiguities, used, factor = np.zeros(12, AMBIGUITY), np.ones(12, np.bool_), np.ones(12)
+    ambiguities, marks = np.zeros(12, AMBIGUITY), records_of(MARK, 12, used=True, factor=1.0)
     ambiguities["odds"], ambiguities["held"] = np.r_[np.full(7, 2e-5), np.full(5, 0.08)], True
-    keep_trusted(used, factor, UNUSED, rules()[0], ambiguities)
+    keep_trusted(marks, UNUSED, rules()[0], ambiguities)
+    used, factor = marks["used"], marks["factor"]
     assert used[:7].all()
     assert 0 < used[7:].sum() < 5
     np.testing.assert_array_equal(ambiguities["held"], used)

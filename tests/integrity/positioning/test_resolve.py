@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, poisson
+from signal_records import records_of, rows_of
 
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, TOO_FEW
-from lanebound.integrity.positioning.float_filter_kernel import SLOT, FilterRow
 from lanebound.integrity.positioning.parameters import rtk_parameters
 from lanebound.integrity.positioning.resolve_kernel import FloatSource, base_of, float_solution, resolve, suspect
-from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import (
     AMBIGUITY,
@@ -28,6 +27,7 @@ from lanebound.integrity.positioning.rtk_kernel import (
     drop_small_systems,
     held_risk,
 )
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
 Array = NDArray[np.float64]
@@ -35,7 +35,6 @@ Bools = NDArray[np.bool_]
 WAVES = np.ascontiguousarray(WAVELENGTH_M[:, :2])
 SYSTEM = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 3, 3, 3])
 N_SAT = len(SYSTEM)
-NO_FILTER = FilterRow(np.zeros(0, SLOT), np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1)), np.zeros((0, 1)))
 
 
 def fit_limits(false_rejection: float) -> Array:
@@ -71,7 +70,8 @@ class _Problem:
 
     @property
     def carriers(self) -> Carriers:
-        return Carriers(self.los, satellites_of(self.system), self.phase, self.variance_phase)
+        signals = records_of(OBSERVED_SIGNAL, len(self.system), e=self.los, code=self.code, phase=self.phase)
+        return Carriers(satellites_of(self.system), signals, self.variance_phase)
 
     def resolve(
         self, *, candidate: Bools | None = None, bands: int = 2, limit: float = 1e-3, ratio: float = 1.0,
@@ -90,15 +90,15 @@ class _Problem:
         )
         rules["posterior"] = margin**2
         rules["max_candidates"], rules["min_satellites"], rules["min_further"] = most, least, further
-        status, _ = resolve(self.carriers, wanted, self.fixes, rules, x, q, NO_FILTER, False, fix)
+        status, _ = resolve(self.carriers, wanted, self.fixes, rules, x, q, None, False, fix)
         return int(status)
 
     def _code_position(self, bands: int) -> tuple[Array, Array]:
         """Position and covariance from the code of all satellites."""
-        y, normal, rhs = np.empty(len(self.system)), np.zeros((3, 3)), np.zeros(3)
-        collapse_code(self.code, bands, y)
-        everything = np.ones(len(self.system), dtype=np.bool_)
-        add_layer(Rows(self.los, self.system, self.variance_code / bands, y, everything), normal, rhs)
+        normal, rhs = np.zeros((3, 3)), np.zeros(3)
+        rows = rows_of(self.los, self.system, True, self.variance_code / bands)
+        collapse_code(self.carriers.signals, bands, rows)
+        add_layer(rows, normal, rhs)
         q = np.linalg.pinv(normal)
         return q @ rhs, q
 
@@ -315,8 +315,8 @@ def test_the_norm_relieved_is_what_is_lost_when_the_satellite_is_left_out() -> N
     rules, carriers = rtk_parameters(RtkConfig(), 2, 1.0)[0], p.carriers
     x, q = p._code_position(2)
     everything = np.ones(N_SAT, dtype=np.bool_)
-    source = FloatSource(x, q, base_of(carriers, p.fixes, 2), NO_FILTER, False)
-    floats = float_solution(carriers, everything, p.fixes, source, rules)
+    source = FloatSource(x, q, base_of(carriers, p.fixes, 2), None, False)
+    floats = float_solution(carriers, everything, p.fixes, source, None, rules)
     n, best, relieved = floats.n, np.round(floats.ambiguity), np.empty(N_SAT)
     count = suspect(floats, n // 2, p.fixes, everything, carriers, 2, best, relieved)
     assert count == N_SAT

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from signal_records import records_of, rows_of
 
 from dense_rtk import double_difference_matrix, solve_dense
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, hdop_of, invert_3x3, multiply_3
-from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import (
     AMBIGUITY,
     BASE,
@@ -23,6 +23,7 @@ from lanebound.integrity.positioning.rtk_kernel import (
     held_risk,
     order_by_variance,
 )
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
 
 SYSTEMS = 4
 C_MPS = 299792458.0
@@ -81,17 +82,20 @@ def _carriers(a):
     """Carriers and what is held of a problem."""
     held = np.zeros(len(a["system"]), AMBIGUITY)
     held["held"], held["integers"] = a["held"], a["integers"]
-    return Carriers(a["los_enu"], _satellites(a["system"]), a["phase_m"], a["variance_phase_m2"]), held
+    signals = records_of(OBSERVED_SIGNAL, len(held), e=a["los_enu"], code=a["code_m"], phase=a["phase_m"])
+    return Carriers(_satellites(a["system"]), signals, a["variance_phase_m2"]), held
 
 
 def _kernel_position(a, bands):
     """Position, its covariance and whether the geometry is regular, through the kernel's collapsed layers."""
     normal, q_x, rhs, x = np.zeros((3, 3)), np.empty((3, 3)), np.zeros(3), np.empty(3)
-    y, (carriers, held) = np.empty(len(a["system"])), _carriers(a)
-    collapse_code(a["code_m"], bands, y)
-    add_layer(Rows(a["los_enu"], a["system"], a["variance_code_m2"] / bands, y, a["code_used"]), normal, rhs)
-    collapse_phase(carriers, held, bands, y)
-    add_layer(Rows(a["los_enu"], a["system"], a["variance_phase_m2"] / bands, y, a["held"]), normal, rhs)
+    carriers, held = _carriers(a)
+    rows = rows_of(a["los_enu"], a["system"], a["code_used"], a["variance_code_m2"] / bands)
+    collapse_code(carriers.signals, bands, rows)
+    add_layer(rows, normal, rhs)
+    rows["variance"], rows["used"] = a["variance_phase_m2"] / bands, a["held"]
+    collapse_phase(carriers, held, bands, rows)
+    add_layer(rows, normal, rhs)
     assert invert_3x3(normal, q_x)
     multiply_3(q_x, rhs, x)
     return x, q_x
@@ -204,7 +208,7 @@ SINGULAR = {
 def test_singular_geometry_is_a_refusal_in_the_reference_and_a_value_in_the_kernel(name):
     los, system = SINGULAR[name][0], np.array(SINGULAR[name][1])
     n = len(system)
-    assert hdop_of(los, system, np.ones(n, dtype=bool)) == math.inf
+    assert hdop_of(rows_of(los, system, np.ones(n, dtype=bool))) == math.inf
     nothing = np.zeros(n, dtype=bool)
     with pytest.raises(InputError, match="geometry is singular"):
         solve_dense(
@@ -260,15 +264,15 @@ def test_hdop_is_that_of_the_design_matrix_with_clocks(seed):
     present = np.unique(system[member])
     G = np.column_stack([-a["los_enu"][member], (system[member][:, None] == present).astype(float)])
     Q = np.linalg.inv(G.T @ G)
-    assert hdop_of(a["los_enu"], system, member) == pytest.approx(math.sqrt(Q[0, 0] + Q[1, 1]), rel=1e-9)
+    assert hdop_of(rows_of(a["los_enu"], system, member)) == pytest.approx(math.sqrt(Q[0, 0] + Q[1, 1]), rel=1e-9)
 
 
 def test_hdop_of_a_ring_with_one_satellite_overhead():
     # k satellites evenly around at elevation h bring k/2 cos^2 h to each axis: HDOP = 2 / sqrt(k) / cos h
     los, system = np.vstack([_sky(np.arange(5) * 72.0, 30.0), [[0.0, 0.0, 1.0]]]), np.zeros(6, dtype=np.int64)
     expected = 2.0 / math.sqrt(5.0) / math.cos(math.radians(30.0))
-    assert hdop_of(los, system, np.ones(6, dtype=bool)) == pytest.approx(expected, rel=1e-12)
-    assert hdop_of(los, system, np.zeros(6, dtype=bool)) == math.inf
+    assert hdop_of(rows_of(los, system, np.ones(6, dtype=bool))) == pytest.approx(expected, rel=1e-12)
+    assert hdop_of(rows_of(los, system, np.zeros(6, dtype=bool))) == math.inf
 
 
 @few
@@ -300,7 +304,9 @@ def test_a_satellite_alone_in_its_system_adds_nothing():
     member = a["system"] == 0
     alone = member.copy()
     alone[np.flatnonzero(a["system"] == 1)[0]] = True
-    assert hdop_of(a["los_enu"], a["system"], alone) == pytest.approx(hdop_of(a["los_enu"], a["system"], member))
+    assert hdop_of(rows_of(a["los_enu"], a["system"], alone)) == pytest.approx(
+        hdop_of(rows_of(a["los_enu"], a["system"], member))
+    )
 
 
 def test_systems_with_too_few_satellites_are_left_out():

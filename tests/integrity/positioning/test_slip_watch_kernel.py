@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import poisson
+from signal_records import records_of
 
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import MARK
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.parameters import rtk_parameters, slip_parameters
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, SATELLITE, Carriers
 from lanebound.integrity.positioning.slip_watch_kernel import SLIP_WATCH, DopplerMotion, watch_slips
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
 Array = NDArray[np.float64]
@@ -69,9 +72,10 @@ class _Watch:
         phase += drift_m * self.rng.standard_normal(N_SAT)[:, None]
         velocity = np.array([after, 6.0, 0.0]) + noise * SIGMA_MPS * self.rng.standard_normal(3) + lie
         motion = DopplerMotion(DT, solved, velocity, SIGMA_MPS**2 * np.eye(3), self.place + 3.0)
-        carriers = Carriers(e, self.satellites, phase, np.full(N_SAT, SIGMA_M**2))
+        signals, marks = records_of(OBSERVED_SIGNAL, N_SAT, e=e, phase=phase), records_of(MARK, N_SAT, phase_ok=True)
+        carriers = Carriers(self.satellites, signals, np.full(N_SAT, SIGMA_M**2))
         found = watch_slips(
-            carriers, np.ones(N_SAT, dtype=np.bool_), self.age if age is None else age, motion, self.fixes, self.rtk,
+            carriers, marks, self.age if age is None else age, motion, self.fixes, self.rtk,
             slip_parameters(self.slips)[0], self.watch, 50,
         )  # fmt: skip
         return int(found)

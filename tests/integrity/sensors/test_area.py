@@ -17,7 +17,7 @@ def _area(seeds=(5,), gnss=GNSS, link=LINK, satellites=N_SAT):
 
 def _bits(state):
     s, n = state.signals, state.network
-    return [s.memory, s.message, s.clock, s.reference_enu_m, n.epoch, n.message, n.fresh, n.up, n.outage_left, n.until]
+    return [s.memory, s.message, s.site, n.epoch, n.areas]
 
 
 def _numbers(memory):
@@ -46,11 +46,13 @@ def test_an_area_is_the_same_among_others():
     advance_area(GNSS, LINK, alone, 5.0, DT)
     advance_area(GNSS, LINK, among, 5.0, DT)
     np.testing.assert_array_equal(alone.signals.memory[0], among.signals.memory[1])
-    np.testing.assert_array_equal(alone.network.until[0], among.network.until[1])
+    np.testing.assert_array_equal(alone.network.areas["until"][0], among.network.areas["until"][1])
 
 
 class _DrawnOutside(Streams):
     """Streams whose draws are handed to the kernel."""
+
+    draws_by_row = False
 
 
 def test_draws_from_outside_the_kernel_give_the_same_bits():
@@ -75,9 +77,9 @@ def test_a_message_has_the_multipath_of_its_time_beside_its_noise():
     area = _area()
     for k in range(1, 41):
         advance_area(GNSS, LINK, area, k * DT, DT)
-        if area.network.fresh:
+        if area.network.areas["fresh"]:
             sent = area.signals.memory.copy()
-        if area.network.message >= 0:
+        if area.network.areas["message"] >= 0:
             for name in ("code_multipath", "phase_multipath"):
                 np.testing.assert_array_equal(area.signals.message[name], sent[name])
     assert area.signals.message.shape == (1, N_SAT)

@@ -13,11 +13,10 @@ from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.arrival_kernel import TRACKED
 from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, gnss_parameters
-from lanebound.integrity.sky.faces import Faces
 from lanebound.integrity.sky.propagation_kernel import edge_detour
-from lanebound.integrity.sky.raytrace_kernel import EDGE_LINE, FACE
+from lanebound.integrity.sky.raytrace_kernel import EDGE_LINE, FACE, RECEPTION
 from lanebound.integrity.sky.systems import CHIP_M, WAVELENGTH_M
-from lanebound.integrity.sky.visibility import Reception, SignalPath, blank_reception
+from lanebound.integrity.sky.visibility import Reception, SignalPath
 from tests.integrity.sensors.test_gnss import DT, N_SAT, PERFECT, SYSTEM, _Receiver, _sky
 
 PATHS = PERFECT.replace(cn0_zenith_dbhz=48.0, cn0_horizon_dbhz=48.0, cross_polar=1.0)
@@ -37,12 +36,11 @@ METAL = faces(((0.0, 1.0, 0.0), -FACE_SOUTH_M, 3))  # a metal wall 20 m south of
 
 def reception(path: SignalPath, face: tuple[int, int] = (-1, -1), edges: np.ndarray | None = None) -> Reception:
     """The same path and faces for all satellites; with ``edges`` (S,) each has an edge of its own."""
-    lines = np.zeros(0, EDGE_LINE) if edges is None else edges
-    rows = blank_reception(1, N_SAT, Faces(np.zeros((1, 1, 1, 2)), np.zeros((1, 1, 1)), METAL, lines))  # type: ignore[arg-type]
-    rows.path[:], rows.excess[:], rows.face[:] = path, 0.0, face
+    records = np.zeros((1, N_SAT), RECEPTION)
+    records["path"], records["face"], records["planes"], records["edge"] = path, face, METAL[list(face)], -1
     if edges is not None:
-        rows.edge[:] = np.arange(N_SAT)
-    return Reception(rows.path, rows.excess, rows)
+        records["edge"], records["line"] = np.arange(N_SAT), edges
+    return Reception.of(records)
 
 
 def edges_at(elevation_rad: Any, distance_m: float, turned_rad: float = 0.5 * math.pi) -> np.ndarray:
@@ -192,9 +190,9 @@ def test_behind_another_edge_the_carrier_goes_on_at_the_nearest_cycle() -> None:
     both, where = np.concatenate([one, other]), truth(0.0, 0.0)
 
     def behind(first: int) -> Reception:
-        made = reception(SignalPath.BLOCKED, edges=both)
+        made = reception(SignalPath.BLOCKED, edges=both[first : first + N_SAT])
         assert made.given is not None
-        made.given.edge[:] = first + np.arange(N_SAT)
+        made.given["edge"] = first + np.arange(N_SAT)
         return made
 
     receiver = receiver_in(lambda: behind(0), where, PATHS.replace(phase_min_dbhz=10.0))

@@ -53,11 +53,12 @@ def test_the_rear_axle_does_not_slip():
 
 def test_odometer_faults_act_on_the_wheels():
     truth, _ = turning()
-    effects = replace(FaultEffects.blank(1, 0), odometer_scale=np.array([1.1]))
+    effects, frozen = FaultEffects.blank(1, 0), FaultEffects.blank(1, 0)
+    effects.odometer_scale[:] = 1.1
     np.testing.assert_allclose(
         sample(EXACT, truth, effects=effects).wheel_mps, 1.1 * sample(EXACT, truth).wheel_mps, rtol=1e-12
     )
-    frozen = replace(FaultEffects.blank(1, 0), odometer_frozen=np.array([True]))
+    frozen.odometer_frozen[:] = True
     assert (sample(EXACT, truth, effects=frozen).wheel_mps == 0.0).all()  # as before the first message
 
 

@@ -4,12 +4,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest, norm, poisson
 
+from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors import corrections
 from lanebound.integrity.sensors import corrections_kernel as kernel
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
+
+
+@jit
+def received(epoch, rules, areas, sent, u, z, lost, links, held, age):
+    """The reception of each vehicle: its age."""
+    for v in range(age.shape[0]):
+        a = v % areas.shape[0]
+        age[v] = kernel.receive(epoch, rules[0], areas[a], sent[a], u[v], z[v], lost[v], links[v], held[v])
 
 
 class _Link:
@@ -25,16 +34,15 @@ class _Link:
 
     def step(self, lost=False):
         """The ages (B,) after one epoch, by the kernels that the instruments call."""
-        config, network, none = self.config, self.network, np.empty((0, 2))
+        config, network, none = self.config, self.network, np.zeros(self.batch)
         rules, outages = corrections.link_parameters(config, self.dt), config.outage_per_h > 0.0
         network.epoch += 1
-        z = self.area_streams.normal("network", 2) if outages else none
-        kernel.advance_network(network.epoch, rules[0], z, network.rows)
-        self.sent["code_multipath"] = network.message[:, None]  # every message says its number
-        u, z = (getattr(self.streams, law)("corrections", 1) if outages else none for law in ("uniform", "normal"))
-        rows = kernel.LinkRows(rules, network.rows, self.sent, self.state.links, self.state.held, u, z)
-        age = np.empty(self.batch)
-        kernel.advance(0, self.batch, network.epoch, rows, np.broadcast_to(lost, self.batch).copy(), age)
+        z = self.area_streams.normal("network", 2) if outages else np.zeros((network.areas.size, 2))
+        kernel.advance_networks(network.epoch, rules[0], z, network.areas)
+        self.sent["code_multipath"] = network.areas["message"][:, None]  # every message says its number
+        u, z = (getattr(self.streams, law)("corrections") if outages else none for law in ("uniform", "normal"))
+        lost, age = np.broadcast_to(lost, self.batch).copy(), np.empty(self.batch)
+        received(network.epoch, rules, network.areas, self.sent, u, z, lost, self.state.links, self.state.held, age)
         return age
 
     def up(self, epochs):
@@ -56,7 +64,7 @@ def test_age_is_a_sawtooth_from_the_latency_on():
 
 def test_nothing_drifts_in_ten_hours():
     link = _Link(CorrectionsConfig())
-    link.network.epoch, link.network.message[:] = 360_000, 35_999
+    link.network.epoch, link.network.areas["message"] = 360_000, 35_999
     link.state.links["newest"] = 35_999
     for n in range(20):
         assert link.step()[0] == pytest.approx(0.3 + 0.1 * ((n - 2) % 10), abs=1e-9)

@@ -166,17 +166,16 @@ def test_increments_are_those_of_the_plain_steps() -> None:
         rows = ((config.gyro, truth.delta_theta_rad), (config.accel, truth.delta_v_mps))
         expected = []
         for i, (triad, true) in enumerate(rows):
+            axes, after = (sensors["axes"][:, i] for sensors in (plain.sensors, state.sensors))
             end, wander = gauss_markov_step(
-                plain.axes["instability"][:, i], triad.instability, triad.instability_s, dt, z[:, i, :, 1:3]
+                axes["instability"], triad.instability, triad.instability_s, dt, z[:, i, :, 1:3]
             )
-            walk_end, walk = random_walk_step(plain.axes["walk"][:, i], triad.random_walk, dt, z[:, i, :, 3:5])
-            np.testing.assert_allclose(state.axes["instability"][:, i], end, rtol=1e-12, atol=1e-18)
-            np.testing.assert_allclose(state.axes["walk"][:, i], walk_end, rtol=1e-12, atol=1e-18)
+            walk_end, walk = random_walk_step(axes["walk"], triad.random_walk, dt, z[:, i, :, 3:5])
+            np.testing.assert_allclose(after["instability"], end, rtol=1e-12, atol=1e-18)
+            np.testing.assert_allclose(after["walk"], walk_end, rtol=1e-12, atol=1e-18)
             white = triad.density * np.sqrt(dt) * z[:, i, :, 0]
-            expected.append(
-                true * (1 + plain.axes["scale"][:, i]) + plain.axes["turn_on"][:, i] * dt + white + wander + walk
-            )
-        expected[0][:, 2] += state.moving_bias_radps * dt
+            expected.append(true * (1 + axes["scale"]) + axes["turn_on"] * dt + white + wander + walk)
+        expected[0][:, 2] += state.sensors["moving_bias"] * dt
         np.testing.assert_allclose(sample.delta_theta_rad, expected[0], rtol=1e-12, atol=1e-15)
         np.testing.assert_allclose(sample.delta_v_mps, expected[1], rtol=1e-12, atol=1e-15)
 

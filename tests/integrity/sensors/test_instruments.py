@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
-from lanebound.integrity.sensors import corrections_kernel as links_kernel
 from lanebound.integrity.sensors.area import advance_area
 from lanebound.integrity.sensors.corrections import link_parameters
+from lanebound.integrity.sensors.corrections_kernel import receive
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sensors.gnss import observe
 from lanebound.integrity.sensors.imu import sample_imu
+from lanebound.integrity.sensors.instruments import observed
 from lanebound.integrity.sensors.odometer import sample_odometer
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
@@ -71,15 +72,16 @@ def _one_by_one(navigator: Navigator, truth: Truth) -> Measurements:
 def _link_ages(navigator: Navigator, dt_s: float, lost: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Ages of the newest reference data, (B,) [s]; the links advance by an epoch."""
     c, s = navigator.config.corrections, navigator.state
-    u = z = np.empty((0, 1))
+    u = z = np.zeros(navigator.batch)
     if c.outage_per_h > 0.0:
-        u, z = s.streams.uniform("corrections", 1), s.streams.normal("corrections", 1)
-    network, held = s.area.network, s.corrections
-    sent = s.area.signals.message
-    rows = links_kernel.LinkRows(link_parameters(c, dt_s), network.rows, sent, held.links, held.held, u, z)
-    age = np.empty(navigator.batch)
-    links_kernel.advance(0, navigator.batch, network.epoch, rows, lost, age)
-    return age
+        u, z = s.streams.uniform("corrections"), s.streams.normal("corrections")
+    network, sent, links, held = s.area.network, s.area.signals.message, s.corrections.links, s.corrections.held
+    rules, areas = link_parameters(c, dt_s), network.areas
+    ages = [
+        receive(network.epoch, rules[0], areas[a], sent[a], u[v], z[v], lost[v], links[v], held[v])
+        for v, a in enumerate(np.arange(navigator.batch) % areas.size)
+    ]
+    return np.array(ages)
 
 
 def _truth(k: int, batch: int) -> Truth:
@@ -90,7 +92,7 @@ def _truth(k: int, batch: int) -> Truth:
 
 def _assert_same(a: Any, b: Any) -> None:
     if is_dataclass(a):
-        for field in fields(a):
+        for field in (field for field in fields(a) if field.init):
             _assert_same(getattr(a, field.name), getattr(b, field.name))
     else:
         np.testing.assert_array_equal(a, b)
@@ -153,3 +155,33 @@ def test_measuring_an_epoch_twice_from_a_copy_gives_the_same_bits() -> None:
     twin = copy.deepcopy(navigator)
     for k in range(25, 45):
         _assert_same(navigator.measure(_truth(k, 1)), twin.measure(_truth(k, 1)))
+
+
+def test_measurements_of_the_instruments_are_their_records_without_a_copy() -> None:
+    m = _navigator([4, 5]).measure(_truth(1, 2))
+    signals, vehicles = observed(m)
+    assert m.given is not None
+    assert (signals is m.given[0], vehicles is m.given[1]) == (True, True)
+    m.gnss.code_m[1, 2, 0] = 7.0
+    m.odometer.speed_mps[0] = -3.0
+    assert (signals["code"][1, 2, 0], vehicles["speed"][0]) == (7.0, -3.0)
+
+
+def test_measurements_of_ones_own_are_packed_as_they_now_are() -> None:
+    navigator = _navigator([4, 5])
+    m = [navigator.measure(_truth(k, 2)) for k in range(1, 4)][-1]
+    whole = observed(m)
+    cut = replace(m, gnss=replace(m.gnss, tracked=np.zeros_like(m.gnss.tracked), integer_error=None))
+    late = copy.deepcopy(m)
+    late.imu.delta_v_mps[:] = 5.0
+    turned = replace(m, sky=replace(m.sky, index=np.array([0, 0])))
+    for changed, differs in ((cut, {"tracked"}), (late, {"delta_v"}), (turned, set[str]())):
+        found = {
+            name
+            for one, other in zip(whole, observed(changed), strict=True)
+            for name in one.dtype.names or ()
+            if not np.array_equal(one[name], other[name])
+        }
+        assert found == differs
+    assert m.gnss.tracked.any()
+    assert whole[0]["tracked"].any()
