@@ -78,7 +78,7 @@ class EnvConfig(Config):
     actuators: ActuatorConfig | None = Field(
         ActuatorConfig(), description="limits of steering; None for highway-env's own"
     )
-    al_at_m: float = Field(1.5, gt=0, description="along-track alert limit; S2 section 6")
+    al_at_m: float = Field(1.5, gt=0, description="along-track alert limit; half of a 3 m lane, S2 5.3")
     al_ct_m: float | None = Field(None, gt=0, description="cross-track alert limit; None: (narrowest lane - car) / 2")
     keep_lane: bool = Field(True, description="costs count beyond the lane; false: beyond the road")
     duration_s: float | None = Field(
@@ -186,7 +186,7 @@ class EnvConfig(Config):
 
     @cached_property
     def level(self) -> SkyLevel:
-        """The level of the sky, read once: a file of one's own may change later."""
+        """The preset of the sky, read once: a file of one's own may change later."""
         return SkyLevel.named(self.sky)
 
     def limits_m(self, lane_width_m: float, car_width_m: float) -> tuple[float, float]:

@@ -17,7 +17,7 @@ class CostConfig(Config):
     """Weights of the causes and the figures of their formulas."""
 
     collision: float = Field(
-        200.0, ge=0, description="weight of cost_collision [-]; more than careless drives cost that go on to their end"
+        200.0, ge=0, description="weight of cost_collision [-]; more than any cost_limit, not than every careless drive"
     )
     off_road: float = Field(200.0, ge=0, description="weight of cost_off_road [-]; as a crash")
     lane: float = Field(1.0, ge=0, description="weight of cost_lane [1/m^2]")
@@ -39,4 +39,8 @@ class CostConfig(Config):
     alert_speed_share: float = Field(
         0.5, ge=0, le=1, description="share of the lane's speed limit permitted while an alert is on [-]; chosen"
     )
-    time_to_alert_s: float = Field(1.0, ge=0, description="TTA, allowed for a reaction to an alert; S3 II.B")
+    time_to_alert_s: float = Field(
+        1.0,
+        ge=0,
+        description="allowed for a reaction to an alert [s]; chosen (the TTA of S3 II.A ends with the alert)",
+    )

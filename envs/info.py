@@ -25,7 +25,7 @@ INFO: dict[str, str] = {
     "available": "no protection level exceeds its limit",
     "mode": "code of the source of the position, see Mode",
     "reason": "code of the alert's reason, see AlertReason",
-    "tta_s": "time left to react to an alert [s]",
+    "tta_s": "time left to react to an alert: 1 s less its age; the TTA of S3 II.A ends with the alert [s]",
     "speed_mps": "true speed [m/s]",
     "rewards": "terms of the reward by name, unweighted",
     "err_at_m": "true error along the track, forward positive [m]",

@@ -18,6 +18,7 @@ from gymnasium.error import Error as GymnasiumError
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.envs.parking_env import ParkingEnv
+from numpy.typing import NDArray
 
 from lanebound.envs.batch.ego_kernel import IDLE
 from lanebound.envs.worlds import world_kind, world_kinds
@@ -27,8 +28,9 @@ from lanebound.envs.worlds.highway import IDM_PATH
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import deep_merge, nearest
 
-__all__ = ["checked_command", "guard", "make_world", "world_defaults"]
+__all__ = ["checked_command", "guard", "make_world", "within_rounding", "world_defaults"]
 
+ROUNDING_ULP = 16  # of the larger bound; a scale and an offset in float32 round by 1 or 2, or by 15 on a narrow range
 NOTHING = {"type": "AttributesObservation", "attributes": []}
 RESERVED = ("observation", "action", "simulation_frequency", "policy_frequency", "manual_control")
 DIRECT = "ContinuousAction"
@@ -200,6 +202,16 @@ def _check_value(path: str, value: Any, default: Any) -> None:
         raise ConfigError(f"{path} must be > 0, got 0: the default is {default!r}")
 
 
+def within_rounding(commands: NDArray[Any], low: NDArray[Any], high: NDArray[Any]) -> NDArray[Any]:
+    """Commands of a Box, those beyond a bound by no more than rounding moved onto it; others and NaN stay as they are.
+
+    Arithmetic of wrappers in float32, such as Gymnasium's ``RescaleAction``, gives 1.0000001 for 1.
+    """
+    nearest_inside = np.clip(commands, low, high)
+    rounding = ROUNDING_ULP * np.spacing(np.maximum(np.abs(low), np.abs(high)))
+    return np.where(np.abs(commands - nearest_inside) <= rounding, nearest_inside, commands)
+
+
 def checked_command(space: gymnasium.Space[Any], action: Any) -> Any:
     """The command as the world takes it: an int, or an array of the space's type.
 
@@ -209,10 +221,11 @@ def checked_command(space: gymnasium.Space[Any], action: Any) -> Any:
         A command outside the action space: naming the space, the command and what to do.
     """
     if isinstance(space, gymnasium.spaces.Box):
-        command = np.asarray(action)
-        if command.dtype.kind not in "iuf" or command.shape != space.shape:
-            raise InputError(f"action must be numbers of shape {space.shape}, got {action!r}: reshape it")
-        command = command.astype(space.dtype)
+        given = np.asarray(action)
+        if given.dtype.kind not in "iuf" or given.shape != space.shape:
+            wanted = f"{space.dtype} numbers of shape {space.shape}"
+            raise InputError(f"action must be {wanted}, got {action!r}: convert or reshape it")
+        command = within_rounding(given.astype(space.dtype), space.low, space.high)
         if not np.isfinite(command).all():
             raise InputError(f"action must be finite, got {action!r}: check the policy for NaN")
         if not space.contains(command):

@@ -11,23 +11,34 @@ instead of moment by moment.
 >>> env = SafetyGymnasium(EpisodeStatistics(env))
 >>> observation, info = env.reset(seed=1)
 >>> observation, reward, cost, terminated, truncated, info = env.step(env.action_space.sample())
+
+From inside to outside: ``EpisodeStatistics``, Gymnasium's ``Autoreset``, ``SafetyGymnasium``. Another order is refused.
+``SafetyGymnasiumVector`` is for vector environments.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from typing import Any, SupportsFloat
 
 import gymnasium
+import numpy as np
 from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.wrappers import Autoreset
+from numpy.typing import NDArray
 
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["CostIntoReward", "EpisodeStatistics", "SafetyGymnasium"]
+__all__ = ["CostIntoReward", "EpisodeStatistics", "SafetyGymnasium", "SafetyGymnasiumVector"]
+
+FIVE_VALUES = ("gymnasium", "stable_baselines3")  # packages whose wrappers and vectors unpack five values of a step
+PASS_ON = ("Wrapper.step", "OrderEnforcing.step")  # of Gymnasium's wrappers these return whatever a step gives
 
 Env = gymnasium.Env[Any, Any]
 Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]
@@ -58,10 +69,17 @@ class _OfLanebound(Wrapper):
 class SafetyGymnasium(_OfLanebound, RecordConstructorArgs):
     """Six values of a step, as Safety-Gymnasium's: ``observation, reward, cost, terminated, truncated, info``.
 
-    ``cost`` is ``info["cost"]``, a float. Put it around all other wrappers: Gymnasium's own expect five values.
+    ``cost`` is ``info["cost"]``, a float. Put it around all other wrappers: those of Gymnasium expect five values.
+
+    Raises
+    ------
+    InputError
+        The environment is a vector; at the first step, a wrapper of Gymnasium or a vector is around it.
     """
 
     def __init__(self, env: Env) -> None:
+        if isinstance(env, VectorEnv):
+            raise InputError(f"env must be a single environment, got {env}: use SafetyGymnasiumVector")
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
 
@@ -69,8 +87,56 @@ class SafetyGymnasium(_OfLanebound, RecordConstructorArgs):
         self, action: Any
     ) -> tuple[Any, SupportsFloat, float, bool, bool, dict[str, Any]]:
         """Carry out a command until the next decision."""
+        caller = sys._getframe(1)
+        while caller.f_code.co_qualname in PASS_ON and caller.f_back is not None:
+            caller = caller.f_back
+        if caller.f_globals.get("__name__", "").partition(".")[0] in FIVE_VALUES:
+            # The caller would end with "too many values to unpack", which names neither the wrapper nor the order.
+            around = caller.f_code.co_qualname.partition(".")[0]
+            raise InputError(
+                f"SafetyGymnasium must be around all other wrappers, got {around} around it, which takes five values: "
+                f"write SafetyGymnasium({around}(env)), or SafetyGymnasiumVector(envs) for a vector"
+            )
         observation, reward, terminated, truncated, info = self.env.step(action)
         return observation, reward, float(info["cost"]), terminated, truncated, info
+
+
+class SafetyGymnasiumVector(VectorWrapper[Any, Any, Any, Any, Any]):
+    """Six values of a step of a vector environment: ``observations, rewards, costs, terminated, truncated, infos``.
+
+    ``costs`` (N,) are those of the step that was made: under ``SameStep`` the cost of the last step of an episode comes
+    from ``infos["final_info"]``, as ``infos["cost"]`` is already of the new episode. Put it around all other wrappers.
+
+    >>> import gymnasium, lanebound.envs
+    >>> envs = SafetyGymnasiumVector(gymnasium.make_vec("lanebound/LaneKeeping-v0", 2, config={"sky": "open"}))
+    >>> observations, infos = envs.reset(seed=1)
+    >>> observations, rewards, costs, terminated, truncated, infos = envs.step(envs.action_space.sample())
+    >>> costs.shape
+    (2,)
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
+        if not isinstance(env, VectorEnv):
+            raise InputError(f"env must be a vector environment, got {env}: use SafetyGymnasium")
+        super().__init__(env)
+
+    def step(  # type: ignore[override]
+        self, actions: Any
+    ) -> tuple[Any, Any, NDArray[np.float64], Any, Any, dict[str, Any]]:
+        """Carry out a command in each environment until the next decision."""
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        return observations, rewards, _costs(infos), terminated, truncated, infos
+
+
+def _costs(infos: dict[str, Any]) -> NDArray[np.float64]:
+    """Costs of the steps made, (N,)."""
+    if "cost" not in infos:
+        raise InputError(f"env must put 'cost' into its infos, got {', '.join(infos)}: wrap a vector of lanebound's")
+    costs = np.array(infos["cost"], dtype=np.float64)
+    if "final_info" in infos:  # reset in the same step
+        ended = infos["_final_info"]
+        costs[ended] = infos["final_info"]["cost"][ended]
+    return costs
 
 
 class CostIntoReward(_OfLanebound, RecordConstructorArgs):
@@ -132,9 +198,21 @@ class EpisodeStatistics(_OfLanebound, RecordConstructorArgs):
     ``pl_at_mean_m``, ``pl_ct_mean_m``  mean level over the steps that had one; inf when none had.
 
     The moment of the reset is not counted. The key is absent before the end, as Gymnasium's ``episode`` is.
+
+    Raises
+    ------
+    InputError
+        ``Autoreset`` is inside: its episodes begin in a step, and statistics would go on from one to the next.
     """
 
     def __init__(self, env: Env) -> None:
+        inner: Any = env
+        while isinstance(inner, gymnasium.Wrapper):
+            if isinstance(inner, Autoreset):
+                raise InputError(
+                    "EpisodeStatistics must be inside Autoreset, got it around: write Autoreset(EpisodeStatistics(env))"
+                )
+            inner = inner.env
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
         self._totals = EpisodeTotals(1)

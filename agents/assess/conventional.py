@@ -36,6 +36,7 @@ from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.rtklib import FIXED, FLOAT, read_reference, read_rtk_solution
+from lanebound.integrity.replay.sensor_checks import require_same_times
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
@@ -107,10 +108,12 @@ def recorded_figures(folder: Path) -> dict[str, Any]:
                 f"{folder} must hold {SOLUTION} and {REFERENCE}, has no {name}: name the folder of a drive"
             )
     solution, truth = read_rtk_solution(folder / SOLUTION), read_reference(folder / REFERENCE)
-    at = np.clip(np.searchsorted(solution.tow_s, truth.tow_s - MATCHED_S), 0, solution.tow_s.size - 1)
-    known = np.abs(solution.tow_s[at] - truth.tow_s) <= MATCHED_S
+    time_s = truth.since_start(solution.gps_time_s)
+    at = np.clip(np.searchsorted(time_s, truth.tow_s - MATCHED_S), 0, time_s.size - 1)
+    known = np.abs(time_s[at] - truth.tow_s) <= MATCHED_S
     if not known.any():
         raise InputError(f"{SOLUTION} and {REFERENCE} of {folder} must overlap in time, do not: use files of one drive")
+    require_same_times(SOLUTION, time_s, solution.position_ecef_m, truth.tow_s, truth.position_ecef_m)
     latitude, longitude, _ = geodetic_from_ecef(truth.position_ecef_m[0])
     axes = ecef_from_enu_matrix(latitude, longitude)
     off = (solution.position_ecef_m[at] - truth.position_ecef_m) @ axes

@@ -75,7 +75,7 @@ class SuiteConfig(Config):
 
     title: str = Field("", description="what the suite is for")
     envs: tuple[str, ...] = Field(min_length=1, description="ids; lanebound/ may be left out")
-    skies: tuple[str, ...] = Field(("urban",), min_length=1, description="levels of the sky")
+    skies: tuple[str, ...] = Field(("urban",), min_length=1, description="presets of the sky")
     faults: tuple[FaultLevel, ...] = Field((FaultLevel.NONE,), min_length=1, description="levels of faults")
     agents: Mapping[str, AgentConfig] = Field(min_length=1, description="agents by their names in results")
     reference: str | tuple[str, ...] = Field(

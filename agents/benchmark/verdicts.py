@@ -11,6 +11,7 @@ from lanebound.agents.benchmark.outcome import Place
 from lanebound.agents.benchmark.results import Paired, Results
 from lanebound.agents.benchmark.statistics import holm, seeds_to_exclude
 from lanebound.agents.serialization import counted
+from lanebound.envs.registration import IDS, make_config
 
 __all__ = [
     "ENDS", "HARM", "LEVEL", "MARGIN", "RULE", "SafetyVerdict", "conclusions", "mean_over_cells", "opening", "verdicts",
@@ -138,6 +139,16 @@ def opening(results: Results) -> list[str]:
         named = ", ".join(f"{agent} ({harm:.1f} at {throughput:.1f} m/s)" for (harm, throughput), agent in known)
         lines.append(f"Least harm of the others: {named}.")
     return [*lines, *conclusions(results)]
+
+
+def limits_of_other_skies(results: Results) -> list[str]:
+    """A sentence where drives are judged by a limit of cost that was chosen under another sky, that of the preset."""
+    ids = {place.env: f"lanebound/{place.env.removeprefix('lanebound/')}" for place in results.suite.places}
+    own = {env: make_config(name).sky for env, name in ids.items() if name in IDS}
+    found = sorted({f"{p.env} ({own[p.env]})" for p in results.suite.places if own.get(p.env, p.sky) != p.sky})
+    if not found or "cost_limit" in results.suite.overrides:
+        return []
+    return [f"Cost limits were chosen under the sky of the preset, which is another one for {', '.join(found)}."]
 
 
 def _pace(results: Results, agent: str) -> tuple[float, float] | None:

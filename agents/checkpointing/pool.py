@@ -174,7 +174,10 @@ class Pool:
         try:
             while True:
                 for worker in self._workers:
-                    if worker.part is None and waiting and may_start():
+                    if worker.part is None and waiting:
+                        if not may_start():
+                            waiting.clear()  # nobody is asked again: how often a pool looks depends on the machine
+                            break
                         worker.give(waiting.popleft())
                 if not self._busy:
                     return

@@ -40,7 +40,9 @@ if TYPE_CHECKING:
 __all__ = ["drive"]
 
 LOG, COLUMNS, DIAGRAM, WARNINGS = "episodes.parquet", "columns.md", "stanford.png", "warnings.csv"
-AGENT_HELP = f"Agent: {', '.join(AGENTS)} (see 'lanebound agents'); FILE.zip, .onnx, .npz, or module:callable."
+AGENT_HELP = (
+    f"Agent: {', '.join(AGENTS)} (see 'lanebound agents'); FILE.zip, .onnx, .npz, module:callable; or NAME= and one."
+)
 
 
 def drive(
@@ -73,6 +75,8 @@ def drive(
     from lanebound.agents.cli.early import refuse_early, refuse_film
 
     given = changes(assignments, sky=sky, faults=faults)
+    called, _, named = agent.partition("=")  # NAME=AGENT, as in a benchmark
+    agent = named or called
     if not _plugins:
         refuse_early(name, agent, sky, faults, given)
     refuse_film(video)
@@ -86,7 +90,7 @@ def drive(
                                                            display))  # fmt: skip
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
     files["warnings"] = out / WARNINGS if out and (out / WARNINGS).is_file() else None
-    print_report(f"{agent} in {name}", *drove, files, as_json)
+    print_report(f"{called} in {name}", *drove, files, as_json)
     for line in unused(*drove):
         typer.echo(line, err=True)
 

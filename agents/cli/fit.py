@@ -39,7 +39,9 @@ def fit_imu(
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.integrity.sensors.inertial_law import PUBLISHED, read_static_log
 
-    time_s, columns = read_static_log(log)
+    time_s, columns, note = read_static_log(log)
+    if note:
+        typer.echo(f"note: {log}: {note}", err=True)
     found = {name: _fitted(time_s, column) for name, column in columns.items()}
     if as_json:
         print_json(found)

@@ -9,7 +9,7 @@ import typer
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.suite import flat_changes
-from lanebound.agents.benchmark.verdicts import mean_over_cells, opening
+from lanebound.agents.benchmark.verdicts import limits_of_other_skies, mean_over_cells, opening
 from lanebound.agents.cli.benchmark_tables import number, print_failures
 from lanebound.agents.cli.output import counted, open_console, print_table
 
@@ -43,7 +43,8 @@ def print_overview(results: Results) -> None:
     for line in opening(results):
         typer.echo(line)
     print_table(title, ("agent", *SHOWN.values()), overview_rows(results), numbers=SHOWN.values())
-    for line in (MEANT, *_changed(results), *_partial(results, len(places)), *_untuned(results), *_failing(results)):
+    told = *_changed(results), *limits_of_other_skies(results), *_partial(results, len(places)), *_untuned(results)
+    for line in (MEANT, *told, *_failing(results)):
         typer.echo(line)
     typer.echo("Each cell with its intervals: the same command with --full.\n")
     print_failures(open_console(), results)

@@ -227,7 +227,7 @@ def record_sky(
         print_json(found)
         return
     _print_sky(found)
-    _print_files(drive.stopped, [out])
+    _print_files(drive.notes, [out])
 
 
 def _print_sky(found: dict[str, Any]) -> None:
@@ -268,6 +268,9 @@ def _print_city(found: dict[str, Any]) -> None:
     head = ("solution", "part", "axis", "epochs", "RMSE m", "median PL m", "above PL", "exact 95 % interval")
     print_table(f"Errors above protection levels at risk {found['risk']:g}", head, rows)
     typer.echo(CITY_WORDS)
+    if found["left_out_at_gaps"]:
+        typer.echo(f"{found['left_out_at_gaps']} epochs are left out: their windows touch a gap of wheels and gyro.")
+    _print_agreement(found)
     typer.echo(found["caution"])
 
 
@@ -281,7 +284,18 @@ def _print_outages(found: dict[str, Any]) -> None:
         for row in found["by_age"] for axis in ("at", "ct")
     ]  # fmt: skip
     print_table("Dead reckoning in artificial outages", head, rows)
+    if found["left_out_at_gaps"]:
+        typer.echo(f"{found['left_out_at_gaps']} further outages are left out: they touch a gap of a sensor.")
+    _print_agreement(found)
     typer.echo(found["caution"])
+
+
+def _print_agreement(found: dict[str, Any]) -> None:
+    """Print how the sensors follow the reference."""
+    for name, of in found.get("agreement", {}).items():
+        figures = f"slope {of['slope']:.3g}, correlation {of['correlation']:.2f}, lag {of['lag_s']:.2f} s"
+        tested = "" if of["tested"] else "; the drive shows too little of it to test unit and sign"
+        typer.echo(f"{name} on the reference: {figures}{tested}")
 
 
 def _print_service(found: dict[str, Any]) -> None:
@@ -359,6 +373,7 @@ def _print_filter(found: dict[str, Any]) -> None:
         for axis, c in axes.items()
     ]
     print_table("Levels", ("risk", "axis", "epochs", "above PL", "exact 95 % interval", "median PL m"), levels)
+    _print_agreement(found)
     typer.echo(f"The recording lacks: {'; '.join(found['lacking'])}.")
     typer.echo(found["caution"])
 

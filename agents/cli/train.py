@@ -112,7 +112,7 @@ def evaluate(
     source: Source,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; it is resumed.")],
     env: Where = None,
-    sky: Annotated[str | None, typer.Option(help="Level of the sky; that of the training by default.")] = None,
+    sky: Annotated[str | None, typer.Option(help="Preset of the sky; that of the training by default.")] = None,
     assignments: Assignments = None,
     _plugins: Plugins = None,
     agents: Annotated[str, typer.Option(metavar="A,B", help="Drive these beside it.")] = "nominal,integrity_aware",

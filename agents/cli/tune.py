@@ -24,7 +24,7 @@ def _tune() -> None:
 def cautious(
     name: EnvId,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the episodes; a run is resumed there.")],
-    sky: Annotated[str, typer.Option(help="Level of the sky.")] = "dense",
+    sky: Annotated[str, typer.Option(help="Preset of the sky.")] = "dense",
     seeds: Annotated[int, typer.Option(min=1, help="How many, from the first training seed on.")] = 40,
     jobs: Cores = None,
     _plugins: Plugins = None,
@@ -46,7 +46,7 @@ def cautious(
 @app.command("growth")
 def growth(
     names: Annotated[list[str], typer.Argument(metavar="ID...", help="Environments with decisions of one length.")],
-    skies: Annotated[list[str] | None, typer.Option("--sky", help="Level of the sky; may be repeated.")] = None,
+    skies: Annotated[list[str] | None, typer.Option("--sky", help="Preset of the sky; may be repeated.")] = None,
     seeds: Annotated[int, typer.Option(min=1, max=1000, help="Episodes a sky, from the first training seed on.")] = 40,
     _plugins: Plugins = None,
 ) -> None:

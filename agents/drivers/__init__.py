@@ -56,12 +56,12 @@ class About(NamedTuple):
 
 LEVELS = "position, levels"
 ABOUT = {
-    "bank": About("degenerate: nominal, later stops for good", "position", "nothing", SPEED),
+    "bank": About("bad on purpose: nominal, later stops for good", "position", "nothing", SPEED),
     "cautious": About("nominal with constant margins, slower", "position", "nothing", ANY),
     "cbf": About(
         "barrier filter over an agent (`over`; nominal)", f"{LEVELS}, alert", "slows if levels fill the lane", FULL
     ),
-    "constant": About("degenerate: a share of the limit, blind to all else", "position", "nothing", SPEED),
+    "constant": About("bad on purpose: a share of the limit, blind to all else", "position", "nothing", SPEED),
     "cruise": About("keeps lane, speed and distance", "position", "nothing", ANY),
     "idm": About("cruise with IDM for distances", "position", "nothing", ANY),
     "integrity_aware": About(
@@ -76,7 +76,7 @@ ABOUT = {
     "rss": About("nominal, gaps less levels, RSS speeds", LEVELS, "nothing", ANY),
     "stanley": About("cruise with Stanley steering", "position", "nothing", STEERED),
     "stop_on_alert": About("cruise, stops while an alert is on", "position, alert", "stops", ANY),
-    "weave": About("degenerate: nominal, from side to side", "position", "nothing", ANY),
+    "weave": About("bad on purpose: nominal, from side to side", "position", "nothing", ANY),
 }
 """Descriptions of ``AGENTS``, as ``lanebound agents`` prints them."""
 REMEMBERING = ("cbf", "mpc")

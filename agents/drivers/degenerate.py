@@ -1,4 +1,4 @@
-"""Policies without sense, against which tasks are tested: none of them may do well.
+"""Deliberately bad policies, which check that rewards cannot be gamed: none of them may do well.
 
 A task is sound when standing, crawling, full throttle, weaving, and stopping after enough progress all score worse than
 a driver that uses what it observes (suite ``degenerate``).

@@ -21,7 +21,7 @@ from gymnasium import spaces
 from lanebound.agents.drivers.base import Driver, Starts, StatelessDriver, States
 from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs, Selection
 from lanebound.agents.drivers.learnt import open_arrays
-from lanebound.agents.drivers.origin import inputs_in, report_elsewhere
+from lanebound.agents.drivers.origin import inputs_in, normalization_in, report_elsewhere
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.plugins import find_in, import_from
@@ -158,10 +158,12 @@ def _checkpoint(path: str, env: DrivingEnv) -> Driver:
     selection = inputs.select_from(config, f"agent {path}")
     if not _alike(trained, here := _as_taken(trained, selection)):
         raise _unlike(path, "observations", trained, here)
-    if selection.is_whole and type(trained) is type(shown):
+    statistics = normalization_in(Path(path), model)
+    if statistics is None and selection.is_whole and type(trained) is type(shown):
         driver: Driver = model
         return driver
-    return SelectingDriver(model, selection.grouped if isinstance(trained, spaces.Dict) else selection.flat)
+    select = selection.grouped if isinstance(trained, spaces.Dict) else selection.flat
+    return SelectingDriver(model, select if statistics is None else lambda seen: statistics.apply(select(seen)))
 
 
 def _as_taken(trained: spaces.Space[Any], selection: Selection) -> spaces.Space[Any]:

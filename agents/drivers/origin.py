@@ -14,13 +14,14 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 
 from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs
+from lanebound.agents.drivers.normalization import NORMALIZATION, Normalization, require_plain
 from lanebound.envs.observation import ObservationConfig
 from lanebound.envs.registration import base_of
 from lanebound.integrity.core.accel import LOGGER
 
 __all__ = [
     "EXPERIMENT", "add_text", "elsewhere", "environment_in", "experiment_in", "inputs_in", "name_inputs",
-    "report_elsewhere",
+    "normalization_in", "report_elsewhere",
 ]  # fmt: skip
 
 EXPERIMENT = "lanebound.experiment"
@@ -35,7 +36,7 @@ def add_text(checkpoint: Path, name: str, text: str) -> None:
         archive.writestr(name, text)
 
 
-def name_inputs(checkpoint: str | Path, config: ObservationConfig, env_id: str) -> None:
+def name_inputs(checkpoint: str | Path, config: ObservationConfig, env_id: str, normalize: Any = None) -> None:
     """Add the names of the observation entries and the environment to a checkpoint.
 
     It can then drive where there are more entries, and is reported where it drives in another environment.
@@ -45,9 +46,19 @@ def name_inputs(checkpoint: str | Path, config: ObservationConfig, env_id: str) 
     ----------
     config : of the observations in training, ``env.unwrapped.config.observation``
     env_id : of the environment in training, such as ``lanebound/LaneKeeping-v0``
+    normalize : the ``VecNormalize`` around the environments in training; its statistics then go with the policy, which
+        is refused without them
+
+    Raises
+    ------
+    InputError
+        ``normalize`` is something else.
     """
+    statistics = None if normalize is None else Normalization.of(normalize)
     add_text(Path(checkpoint), INPUTS, PolicyInputs.of(config).to_json())
     add_text(Path(checkpoint), ENVIRONMENT, env_id)
+    if statistics is not None:
+        add_text(Path(checkpoint), NORMALIZATION, statistics.to_json())
 
 
 def experiment_in(path: Path) -> dict[str, Any] | None:
@@ -80,6 +91,21 @@ def inputs_in(checkpoint: Path) -> PolicyInputs | None:
     """
     text = _text_in(checkpoint, INPUTS)
     return None if text is None else PolicyInputs.from_json(text, f"agent {checkpoint}")
+
+
+def normalization_in(checkpoint: Path, model: Any) -> Normalization | None:
+    """The statistics of a checkpoint's normalized observations; None where it was trained on those of the environment.
+
+    Raises
+    ------
+    InputError
+        What it holds is damaged, or it was trained on normalized observations and holds no statistics.
+    """
+    text, name = _text_in(checkpoint, NORMALIZATION), f"agent {checkpoint}"
+    if text is not None:
+        return Normalization.from_json(text, model.observation_space, name)
+    require_plain(model, name)
+    return None
 
 
 def _text_in(path: Path, name: str) -> str | None:

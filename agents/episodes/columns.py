@@ -155,7 +155,7 @@ INTEGRITY = (
     _info("alert", "bool", "", "the alert is on"),
     Column("reason", "text", "", "reason of the alert", lambda m: AlertReason.from_code(m.info["reason"]).name.lower()),
     _info("available", "bool", "", "no protection level exceeds its limit"),
-    _info("tta_s", "float", "s", "time left to react to the alert; all of it without one"),
+    _info("tta_s", "float", "s", "time left to react to the alert, 1 s less its age; all of it without one"),
     _info("mi", "bool", "", "misleading information: available, an error above its level and within its limit"),
     _info("hmi", "bool", "", "hazardously misleading information: available, an error above its limit"),
     _belief("satellites", "int", "", "used by RTK", "satellites"),

@@ -13,6 +13,7 @@ import numpy as np
 
 from lanebound.agents.drivers.base import Driver, Starts, States
 from lanebound.envs.core import DrivingEnv
+from lanebound.envs.world import within_rounding
 
 __all__ = ["AgentFailure", "Clock", "Failing", "Guarded", "NoClock", "checked", "error_text", "guarded"]
 
@@ -101,13 +102,14 @@ def checked(action: Any, space: gymnasium.Space[Any]) -> Any:
     discrete = isinstance(space, gymnasium.spaces.Discrete)
     fits = numbers.size == 1 if discrete else numbers.shape == space.shape
     if numbers.dtype.kind not in "iuf" or not fits:
-        wanted = "one integer" if discrete else f"numbers of shape {space.shape}"
+        wanted = "one integer" if discrete else f"{space.dtype} numbers of shape {space.shape}"
         raise AgentFailure("wrong_shape", f"action must be {wanted}, got {_short(action)}")
     if not np.isfinite(numbers).all():
         raise AgentFailure("not_finite", f"action must be finite, got {_short(action)}")
     inside = numbers.dtype.kind in "iu" and space.contains(np.int64(numbers.item())) if discrete else None
     if inside is None:
-        inside = space.contains(numbers.astype(space.dtype))
+        box: Any = space
+        inside = box.contains(within_rounding(numbers.astype(box.dtype), box.low, box.high))
     if not inside:
         raise AgentFailure("outside_space", f"action must lie in {space}, got {_short(action)}")
     return action

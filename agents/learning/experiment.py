@@ -89,7 +89,7 @@ class ExperimentConfig(Config):
 
     title: str = Field("", description="what it is for, in a line")
     env: str = Field(description="id, ours without lanebound/")
-    sky: str = Field("urban", description="level of the sky")
+    sky: str = Field("urban", description="preset of the sky")
     overrides: Mapping[str, Any] = Field({}, description="of the environment's configuration, merged deeply")
     algorithm: Algorithm = Field(Algorithm.PPO, description="how the policy is learnt")
     settings: Mapping[str, Any] = Field({}, description="of the algorithm, by stable-baselines3's names")

@@ -24,7 +24,8 @@ from torch import nn
 from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.drivers.foreign import load_checkpoint
 from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs
-from lanebound.agents.drivers.origin import EXPERIMENT, inputs_in
+from lanebound.agents.drivers.normalization import Normalization
+from lanebound.agents.drivers.origin import EXPERIMENT, inputs_in, normalization_in
 from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.integrity.core.errors import InputError
@@ -54,8 +55,9 @@ def export_onnx(source: Path, path: Path, env: str | None = None, changes: Mappi
     model = load_checkpoint(best)
     _require_plain(experiment, model)
     inputs = _inputs(experiment, model, best)
-    policy = model.policy
-    network = (_Unsquashed(policy) if hasattr(policy, "mlp_extractor") else _Squashed(policy.actor)).eval()
+    policy, statistics = model.policy, normalization_in(best, model)
+    network: nn.Module = _Unsquashed(policy) if hasattr(policy, "mlp_extractor") else _Squashed(policy.actor)
+    network = (network if statistics is None else nn.Sequential(_Normalized(statistics), network)).eval()
     shape = model.observation_space.shape
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -118,6 +120,9 @@ def export_arrays(source: Path, path: Path, env: str | None = None, changes: Map
     _require_plain(experiment, model, ())
     inputs, policy = _inputs(experiment, model, best), model.policy
     _require_layers(policy, inputs)
+    if normalization_in(best, model) is not None:
+        raise InputError(f"a policy to export as arrays must see plain observations, got {best} with statistics of "
+                         "normalized ones: use .onnx")  # fmt: skip
     layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
     discrete = isinstance(model.action_space, spaces.Discrete)
     arrays: dict[str, Any] = {"columns": inputs.columns, "scales": inputs.scales, "discrete": discrete}
@@ -176,6 +181,19 @@ def _require_plain(
     for package in packages:
         if find_spec(package) is None:
             raise InputError(f"an export needs the package {package}, got none: pip install {package}")
+
+
+class _Normalized(nn.Module):
+    """Observations as a policy takes them that was trained under ``VecNormalize``."""
+
+    def __init__(self, statistics: Normalization) -> None:
+        super().__init__()
+        self.mean = torch.tensor(statistics.mean[""], dtype=torch.float32)
+        self.sigma = torch.tensor(statistics.variance[""] + statistics.epsilon, dtype=torch.float32).sqrt()
+        self.limit = statistics.limit
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        return ((observation - self.mean) / self.sigma).clamp(-self.limit, self.limit)
 
 
 class _Unsquashed(nn.Module):

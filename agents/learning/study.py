@@ -72,7 +72,7 @@ class LearningStudyConfig(Config):
     hypotheses: tuple[str, ...] = Field((), description="expectations, written before any training")
     arms: Mapping[str, ArmConfig] = Field(min_length=1, description="by the names they go by in results")
     envs: tuple[str, ...] = Field(min_length=1, description="ids, ours without lanebound/")
-    skies: tuple[str, ...] = Field(min_length=1, description="levels of the sky")
+    skies: tuple[str, ...] = Field(min_length=1, description="presets of the sky")
     seeds: int = Field(5, ge=1, le=100, description="trainings of each arm in each place")
     test_seeds: int = Field(50, ge=1, le=1000, description="held-out episodes of each policy")
     test_skip: int = Field(0, ge=0, le=9000, description="first held-out seeds left out, as they were inspected")

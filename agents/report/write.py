@@ -21,7 +21,7 @@ from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.results import Cell, Results
 from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
 from lanebound.agents.benchmark.store import EpisodeStore
-from lanebound.agents.benchmark.verdicts import opening
+from lanebound.agents.benchmark.verdicts import limits_of_other_skies, opening
 from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.report.clips import Clip, film_clip
 from lanebound.agents.report.commands import replay_command
@@ -90,7 +90,7 @@ def render(results: Results, clips: int = 0, on_clip: Callable[[int, int], None]
         overviews=overviews(places, actors) if len(places) > 1 else [],
         actors=list(actors.values()),
         bounds=[actor.name for actor in actors.values() if actor.bound],
-        opening=opening(results) if results.cells else [],
+        opening=[*opening(results), *limits_of_other_skies(results)] if results.cells else [],
         means=means_table(results, actors),
         few=max((cell.episodes for cell in results.cells), default=VERDICT_SEEDS) < VERDICT_SEEDS,
         verdict_seeds=VERDICT_SEEDS,

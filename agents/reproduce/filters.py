@@ -189,15 +189,15 @@ class _Trial:
         out = ~np.array(self.quality)
         error = {name: np.array(rows) for name, rows in self.error.items()}
         figures: dict[str, Any] = {}
-        ended = [round(end / self.dt_s) - 1 for _, end in self.scenario.outages_s if end < len(out) * self.dt_s]
+        ended = _last_of_first(out)
         for name, e in error.items():
             figures[f"rms {name}"] = _spread(np.sqrt(np.square(e).mean(0)))
             figures[f"max {name}"] = _spread(e.max(0))
             if out.any():
                 figures[f"rms in outage {name}"] = _spread(np.sqrt(np.square(e[out]).mean(0)))
                 figures[f"max in outage {name}"] = _spread(e[out].max(0))
-            if ended:
-                figures[f"error at the end of the first outage {name}"] = _spread(e[ended[0]])
+            if ended is not None:
+                figures[f"error at the end of the first outage {name}"] = _spread(e[ended])
         for name, rows in self.trust.items():
             htl = np.array(rows)
             figures[f"HTL exceeded {name}"] = float(self.beyond[name][0] / htl.size)
@@ -248,6 +248,12 @@ def _reckoned(navigator: FilterNavigator, m: Measurements, position_m: Array, dt
     heading, run = m.compass.heading_rad, m.odometer.speed_mps * dt_s
     moved = position_m + run[:, None] * np.stack([np.sin(heading), np.cos(heading)], -1)
     return np.where(fix.valid[:, None], fix.position_m[:, :2], moved)
+
+
+def _last_of_first(out: NDArray[np.bool_]) -> int | None:
+    """Last epoch of the first outage by ``out`` (T,); None without one that ends within the drive."""
+    ends = np.flatnonzero(out[:-1] & ~out[1:])
+    return int(ends[0]) if ends.size else None
 
 
 def _spread(values: Array) -> list[float]:

@@ -65,7 +65,7 @@ class ServiceStreet:
 
     Attributes
     ----------
-    sky, number : level of the sky, number of the street
+    sky, number : preset of the sky, number of the street
     mask : what its buildings leave of the sky
     truths : true motion in each epoch, the same under every sky
     arrived : what vehicles know when they arrive from an open sky, by their configuration and the length of the way;

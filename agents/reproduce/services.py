@@ -90,7 +90,7 @@ class ServiceStudyConfig(Config):
     seeds: int = Field(100, ge=1, le=10_000, description="streets of each sky; a part is one under all skies")
     cases: tuple[str, ...] = Field(tuple(CASES), min_length=1, description="services and receivers")
     skies: tuple[str, ...] = Field(
-        ("open", "suburban", "urban", "dense"), min_length=1, description="levels of the sky"
+        ("open", "suburban", "urban", "dense"), min_length=1, description="presets of the sky"
     )
     vehicles: int = Field(4, ge=1, le=256, description="vehicles in a street, each in an hour of its street")
     duration_s: float = Field(60.0, gt=0, description="length of a drive after the warm-up [s]")

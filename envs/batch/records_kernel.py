@@ -186,7 +186,7 @@ OUTCOME = record(  # numbers, then what is true where positive, then codes: each
     **{name: f"term of the reward: {name}" for name in TERMS},
     cost="weighted sum of the causes",
     **{name: f"cost by cause: {name}" for name in CAUSES},
-    tta_s="time left to react to an alert",
+    tta_s="time left to react to an alert, 1 s less its age",
     err_at_m="estimate less truth along the track",
     err_ct_m="estimate less truth across the track",
     hmi_share="of the step's epochs",

@@ -19,7 +19,7 @@ import math
 from lanebound.envs.batch.costs_kernel import begin_corridor, follow_corridor, price
 from lanebound.envs.batch.lanes_kernel import CIRCLE, STRAIGHT, advised, local, straight, width_at
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.angles_kernel import remainder, wrap
+from lanebound.integrity.core.angles_kernel import ROUNDING_M, remainder, wrap
 
 __all__ = ["count_epoch", "score"]
 
@@ -47,12 +47,12 @@ def count_epoch(b, sc, car):  # type: ignore[no-untyped-def]
     """Count a navigation epoch: misleading is an available estimate whose error exceeds its level on an axis.
 
     Hazardously so where it exceeds the alert limit (S3 II.C); an epoch that is hazardous on one axis is no more than
-    that.
+    that. An error beyond its level or limit by no more than rounding equals it, as under ``navigation.source=offset``.
     """
     at, ct = _errors(b, car)
     mi = hmi = False
     for axis in range(2):
-        error = abs(at) if axis == 0 else abs(ct)
+        error = (abs(at) if axis == 0 else abs(ct)) - ROUNDING_M
         level = b.pl_at_m if axis == 0 else b.pl_ct_m
         limit = b.al_at_m if axis == 0 else b.al_ct_m
         if b.available != 0 and level <= limit:

@@ -20,8 +20,9 @@ class Highway(Preset):
     Drive fast in dense traffic on a straight motorway (highway-env's `highway-v0`): 4 lanes of 4 m, a speed limit of 30
     m/s, 50 other vehicles. Buildings line the first 2.5 km. The alert limits are 1.5 m along and 1 m across the track.
 
-    Difficulty: gaps are too long for position errors to cause collisions. The errors appear as driving beside the lane
-    and as lane changes into gaps that are elsewhere.
+    Difficulty: position errors appear as driving beside the lane and as lane changes into gaps that are elsewhere.
+    Errors of the neighbours' positions cause crashes: under `dense`, `nominal` crashes in 6 of 24 drives with
+    neighbours known by radio (`v2v`), in 1 with their true poses (`truth`) and in none with the `sensor`.
 
     ## Action Space
     `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, with the target speeds 0, 5, 10, 15,

@@ -39,6 +39,12 @@ __all__ = ["GROUPS", "LANES", "OBSERVATION_INDEX", "Entry", "Observed", "Source"
 
 GROUPS = ("ego", "integrity", "road", "traffic")
 LANES = ("left", "own", "right")
+RTK_MORE = {
+    RtkStatus.FIXED: "; it is the position where mode_rtk is 1: a regained fix waits for its confirmation "
+    "(confirm_s), and one of poor geometry is not used",
+    RtkStatus.FAULT: "; or the jump monitor refused it",
+}
+"""What the advice of a status does not say of its flag."""
 
 
 class Observed(NamedTuple):
@@ -165,7 +171,7 @@ def _levels(c: ObservationConfig) -> list[Entry]:
           if r is not AlertReason.CONTEXT_WARNING or c.context),
         *(g.flag(f"mode_{m.key}", f"source of the position: {m.label}", f"belief.mode == {int(m)}")
           for m in Mode if not m.is_service or m.key in c.shown_services),
-        *(g.flag(f"rtk_{r.name.lower()}", r.value, f"belief.rtk == {r.code}") for r in RtkStatus),
+        *(g.flag(f"rtk_{r.name.lower()}", r.value + RTK_MORE.get(r, ""), f"belief.rtk == {r.code}") for r in RtkStatus),
         g.positive("since_rtk", "s", most, "time since the last RTK position; 1 before the first one",
                    "belief.since_rtk_s"),
         g.positive("since_calibration", "s", most, "time since the last heading calibration; 1 before the first one",

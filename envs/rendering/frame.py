@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
 from lanebound.envs.rendering.trace import Trace
+from lanebound.integrity.core.angles_kernel import ROUNDING_M
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.scene import City
 
@@ -154,7 +155,8 @@ class Frame:
         Errors beyond the alert limit count too: ``mi`` and ``hmi`` of ``info`` tell the two apart.
         """
         at, ct = self.error_m
-        return self.belief.available and (abs(at) > self.belief.pl_at_m or abs(ct) > self.belief.pl_ct_m)
+        b = self.belief
+        return b.available and (abs(at) > b.pl_at_m + ROUNDING_M or abs(ct) > b.pl_ct_m + ROUNDING_M)
 
     @property
     def status(self) -> Status:

@@ -29,7 +29,7 @@ __all__ = ["draw_legend", "draw_panel"]
 
 MARGIN = 10
 LEAST_STRIP_PX = 56
-FIGURES_PX = 82
+FIGURES_PX = 98
 HEAD_GAP_PX = 12
 REASONS = {
     AlertReason.PL_AT: "along-track PL over limit",
@@ -43,6 +43,16 @@ REASONS = {
     AlertReason.HOLDING: "holding",
     AlertReason.CONTEXT_WARNING: "context monitor warns",
 }
+RTK_WORDS = {
+    RtkStatus.FIXED: "fixed, waiting",
+    RtkStatus.NO_CORRECTIONS: "no corrections",
+    RtkStatus.TOO_FEW: "too few satellites",
+    RtkStatus.NOT_CONVERGED: "not converged",
+    RtkStatus.RATIO_FAILED: "ratio test failed",
+    RtkStatus.FAULT: "refused by a test",
+    RtkStatus.SEARCH_FAILED: "search failed",
+}
+"""Why the position is not RTK; a jump that the jump monitor refuses is a failed test too."""
 
 
 class LegendEntry(NamedTuple):
@@ -129,6 +139,7 @@ def _draw_figures(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) ->
         ("speed", f"{3.6 * frame.speed_mps:.0f} km/h", theme.text),
         ("PL AT", _level(b.pl_at_m, b.al_at_m), _level_colour(b.pl_at_m, b.al_at_m, theme)),
         ("PL CT", _level(b.pl_ct_m, b.al_ct_m), _level_colour(b.pl_ct_m, b.al_ct_m, theme)),
+        ("last RTK", _ago(b), theme.text),
         ("cost, last step", "–" if cost is None else f"{cost.step:.2f}", theme.text),
         ("cost, episode", "–" if cost is None else f"{cost.episode:.2f}", _cost_colour(cost, theme)),
     )
@@ -138,6 +149,7 @@ def _draw_figures(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) ->
         ("satellites used", f"{_used(b)}", theme.text),
         ("corrections", _age(b.corrections_age_s), theme.text),
         ("cost limit", "–" if cost is None else f"{cost.limit:g}", theme.text),
+        ("", "", theme.text),
     )
     row = at.height / len(left)
     half = 0.5 * (at.width - 2 * MARGIN)
@@ -171,9 +183,12 @@ def _level_colour(pl_m: float, al_m: float, theme: Theme) -> Colour:
 
 
 def _rtk(b: EgoBelief) -> str:
-    if RtkStatus.from_code(b.rtk) is RtkStatus.FIXED and b.mode == Mode.RTK:
-        return "fixed"
-    return "never fixed" if math.isinf(b.since_rtk_s) else f"{b.since_rtk_s:.1f} s ago"
+    """Whether the position is RTK, else why not."""
+    return "fixed" if b.mode == Mode.RTK else RTK_WORDS[RtkStatus.from_code(b.rtk)]
+
+
+def _ago(b: EgoBelief) -> str:
+    return "never" if math.isinf(b.since_rtk_s) else f"{b.since_rtk_s:.1f} s ago"
 
 
 def _age(age_s: float) -> str:

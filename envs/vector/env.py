@@ -15,6 +15,7 @@ from lanebound.envs.batch.infos import form_of, infos_of, results
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.ids import Preset, has_engine, id_of, presets, refuse_misplaced
 from lanebound.envs.vector.engine import Engine
+from lanebound.envs.world import within_rounding
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["VectorDrivingEnv", "engine_class", "engines"]
@@ -208,10 +209,14 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self._require_begun()
         given, (low, high, kinds) = np.asarray(actions), self._bounds
         if given.dtype.kind not in kinds or given.shape != low.shape:
-            raise InputError(f"actions must be numbers of shape {low.shape}, got {given.dtype} {given.shape}: "
+            kind = f"{low.dtype} numbers" if "f" in kinds else "integers"
+            raise InputError(f"actions must be {kind} of shape {low.shape}, got {given.dtype} {given.shape}: "
                              "pass one for each environment")  # fmt: skip
         commands = given.astype(low.dtype)
         fits = (commands >= low) & (commands <= high)
+        if "f" in kinds and np.count_nonzero(fits) < fits.size:  # seldom, and this takes longer than the test
+            commands = within_rounding(commands, low, high)
+            fits = (commands >= low) & (commands <= high)
         if np.count_nonzero(fits) < fits.size:
             e = int(np.flatnonzero(~fits.reshape(self.num_envs, -1).all(axis=1))[0])
             remedy = "clip it" if np.isfinite(given[e]).all() else "check the policy for NaN"

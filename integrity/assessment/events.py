@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.assessment.record import AXES, Axis, Record
+from lanebound.integrity.core.angles_kernel import ROUNDING_M
 from lanebound.integrity.core.errors import InputError, require_in_range
 
 __all__ = [
@@ -58,9 +59,12 @@ _ZONE_LABELS = {
 
 
 def classify(error_m: ArrayLike, pl_m: ArrayLike, al_m: float) -> NDArray[np.int64]:
-    """Classify errors and protection levels (...,) [m] into zones (...,); PE = PL is nominal, PL = inf unavailable."""
+    """Classify errors and protection levels (...,) [m] into zones (...,); PE = PL is nominal, PL = inf unavailable.
+
+    An error beyond its level or limit by no more than rounding (ROUNDING_M) equals it.
+    """
     al = float(require_in_range("al_m", al_m, 0.0, np.inf, low_open=True, high_open=True))
-    pe, pl = np.abs(np.asarray(error_m, dtype=np.float64)), np.asarray(pl_m, dtype=np.float64)
+    pe, pl = np.abs(np.asarray(error_m, dtype=np.float64)) - ROUNDING_M, np.asarray(pl_m, dtype=np.float64)
     unavailable = np.where(pe > pl, Zone.UNAVAILABLE_MISLEADING, Zone.UNAVAILABLE)
     available = np.where(pe > al, Zone.HAZARDOUS, np.where(pe > pl, Zone.MISLEADING, Zone.NOMINAL))
     return np.where(pl <= al, available, unavailable).astype(np.int64)
@@ -152,7 +156,7 @@ def find_events(record: Record, al_at_m: float, al_ct_m: float, time_to_alert_s:
 def _axis_events(record: Record, axis: Axis, al_m: float, tta_s: float) -> AxisEvents:
     zone = classify(record.error(axis), record.pl(axis), al_m)
     declared, alert = np.asarray(record.available, dtype=np.bool_), np.asarray(record.alert, dtype=np.bool_)
-    failure = record.error(axis) > al_m
+    failure = record.error(axis) > al_m + ROUNDING_M
     overdue = running_age_s(record.time_s, failure) > tta_s + EPS_S
     return AxisEvents(
         available=(zone <= Zone.HAZARDOUS) & declared,

@@ -1,4 +1,4 @@
-"""Angles in one turn."""
+"""Angles in one turn, and what counts as rounding of a length."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import math
 
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["TWO_PI", "remainder", "wrap"]
+__all__ = ["ROUNDING_M", "TWO_PI", "remainder", "wrap"]
 
 TWO_PI = 2.0 * math.pi
+ROUNDING_M = 1e-9  # an error that equals its level is not beyond it; differences of coordinates round by 1e-12 m
 
 
 @jit(inline=True)

@@ -12,7 +12,6 @@ array and is passed as one pointer. Arrays of several axes are passed in a separ
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -55,7 +54,7 @@ def one_record(kind: DTypeLike, **values: Any) -> Records:
     return out
 
 
-def packed(kind: np.dtype[np.void], given: Records | None, arrays: Mapping[str, NDArray[Any]]) -> Records:
+def packed(kind: np.dtype[np.void], given: Records | None, **arrays: NDArray[Any]) -> Records:
     """The records with these arrays as fields: ``given``, where the arrays are its fields, else a packed copy."""
     if given is not None and all(array.base is given for array in arrays.values()):
         return given

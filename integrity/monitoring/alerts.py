@@ -106,7 +106,7 @@ class AlertLimits(Config):
 ALERT_LIMITS: Mapping[str, AlertLimits] = MappingProxyType(
     {
         "s1": AlertLimits(),
-        "s2": AlertLimits(al_at_m=1.5, al_ct_m=1.5),  # half of a 3 m lane, S2 section 6
+        "s2": AlertLimits(al_at_m=1.5, al_ct_m=1.5),  # half of a 3 m lane, S2 5.3
         # Reid et al. 2019, arXiv 1906.01061, passenger cars: limits and 95 % accuracies of their conclusions
         "reid2019_freeway": AlertLimits(al_at_m=1.40, al_ct_m=0.57, accuracy_at_m=0.48, accuracy_ct_m=0.20),
         "reid2019_local": AlertLimits(al_at_m=0.29, al_ct_m=0.29, accuracy_at_m=0.10, accuracy_ct_m=0.10),
@@ -125,7 +125,7 @@ class AlertConfig(Config):
     clear_hold_s: float = Field(
         1.0, ge=0, description="and only after this long below it [s]; chosen: ten 10 Hz epochs"
     )
-    time_to_alert_s: float = Field(1.0, ge=0, description="TTA, longest delay allowed from onset to alert [s]; S3 II.B")
+    time_to_alert_s: float = Field(1.0, ge=0, description="TTA, longest delay allowed from onset to alert [s]; S3 II.A")
     raise_after_s: float = Field(0.0, ge=0, description="persistence asked before an alert [s]; 0 raises it at once")
 
     @model_validator(mode="after")

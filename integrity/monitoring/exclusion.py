@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,15 +55,21 @@ class FdeOutcome(Advice):
     SINGULAR = kernel.SINGULAR, "geometry has no solution; wait for more satellites"
 
 
-class Search(Advice):
-    """Which test names the mode to exclude."""
+class Search(Enum):
+    """Which test names the mode to exclude.
 
-    W_TEST = kernel.W_TEST, "normalised residuals of each mode"
-    SEPARATION = kernel.SEPARATION, "solution separation along and across the track, confirmed by normalised residuals"
-    DIRECTION = (
-        kernel.DIRECTION,
-        "solution separation in the direction of the maximum error, confirmed by normalised residuals",
-    )
+    ``w_test``  normalised residuals of each mode; ``separation``  solution separation along and across the track;
+    ``direction``  in the direction of the maximum error. Separations are confirmed by normalised residuals.
+    """
+
+    W_TEST = "w_test"
+    SEPARATION = "separation"
+    DIRECTION = "direction"
+
+    @property
+    def code(self) -> int:
+        """Its code in :mod:`.detection_kernel`."""
+        return {"w_test": kernel.W_TEST, "separation": kernel.SEPARATION, "direction": kernel.DIRECTION}[self.value]
 
 
 class FdeConfig(Config):
@@ -71,11 +78,15 @@ class FdeConfig(Config):
     alpha: float = Field(0.01, gt=0, lt=1, description="probability of false alarm [-]; S1 section 4")
     linking: Linking = Field(
         Linking.BONFERRONI,
-        description="relation of global and local significance; BAARDA_FROM_LOCAL makes the global false alarm large: "
+        description="relation of global and local significance; baarda_from_local makes the global false alarm large: "
         "5 % at 4 degrees of freedom, 26 % at 20 (alpha 0.01, power 0.8)",
     )
     power: float = Field(0.8, gt=0, lt=1, description="power of Baarda's B-method [-]; Baarda 1968")
-    search: Search = Field(Search.SEPARATION, description="which test names the mode to exclude")
+    search: Search = Field(
+        Search.SEPARATION,
+        description="test that names the mode to exclude: separation along and across the track, in the direction of "
+        "the maximum error, or normalised residuals (w_test)",
+    )
     global_first: bool = Field(
         False,
         description="search only after the global test has failed; false keeps K_fa of the protection level exact",

@@ -58,7 +58,7 @@ class RiskConfig(Config):
         0.01, gt=0, lt=1, description="significance alpha of the separation test [-]; S1 section 3.2"
     )
     direction_test: bool = Field(
-        False, description="test the direction of largest separation, not AT and CT, as fde.search DIRECTION; S2 eq 9"
+        False, description="test the direction of largest separation, not AT and CT, as fde.search=direction; S2 eq 9"
     )
     satellite_prior: tuple[float, ...] = Field(
         SATELLITE_PRIORS,

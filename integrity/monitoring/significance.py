@@ -32,11 +32,15 @@ Array = NDArray[np.float64]
 
 
 class Linking(Enum):
-    """How the local significance follows from the configured one, or the global from the local."""
+    """How the local significance follows from the configured one, or the global from the local.
 
-    BONFERRONI = "global test at alpha, each of m local tests at alpha / m"
-    BAARDA_FROM_GLOBAL = "global test at alpha, local tests with the same power for the same bias"
-    BAARDA_FROM_LOCAL = "local tests at alpha, global test with the same power for the same bias"
+    ``bonferroni``  global test at alpha, each of m local tests at alpha / m; ``baarda_from_global``  global test at
+    alpha, local tests with the same power for the same bias; ``baarda_from_local``  the other way round.
+    """
+
+    BONFERRONI = "bonferroni"
+    BAARDA_FROM_GLOBAL = "baarda_from_global"
+    BAARDA_FROM_LOCAL = "baarda_from_local"
 
 
 @lru_cache(maxsize=4096)

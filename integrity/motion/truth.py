@@ -59,11 +59,11 @@ class Truth:
     @property
     def records(self) -> Records:
         """The arrays as kernels take them, (B,) of TRUTH."""
-        arrays = (
-            self.position_enu_m, self.velocity_enu_mps, self.heading_rad, self.delta_theta_rad, self.delta_v_mps,
-            self.distance_m, self.arc_m, self.lane,
+        return packed(
+            TRUTH, self.given, position=self.position_enu_m, velocity=self.velocity_enu_mps, heading=self.heading_rad,
+            turn=self.delta_theta_rad, delta_v=self.delta_v_mps, distance=self.distance_m, arc=self.arc_m,
+            lane=self.lane,
         )  # fmt: skip
-        return packed(TRUTH, self.given, dict(zip(TRUTH.names or (), arrays, strict=True)))
 
     @property
     def batch(self) -> int:

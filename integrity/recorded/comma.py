@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.recorded.series import UNTIMED, Timing, in_order, notes
 from lanebound.integrity.recorded.source import MAX_BYTES
 
 __all__ = ["Comma", "ReceiverFixes", "Reference", "Series", "read_comma", "read_rows"]
@@ -26,10 +27,11 @@ MAX_HEADER = 4096  # bytes; the header of a plain array has 118
 
 @dataclass(frozen=True)
 class Series:
-    """Times (N,) [s], strictly increasing, and values (N,) or (N, k)."""
+    """Times (N,) [s], strictly increasing, values (N,) or (N, k), and what the times show."""
 
     time_s: Array
     value: Array
+    timing: Timing = UNTIMED
 
     def at(self, time_s: Array) -> Array:
         """Interpolate values (T,) or (T, k) at times (T,): linear between samples, constant beyond them."""
@@ -46,6 +48,7 @@ class Reference:
     position_ecef_m: Array
     velocity_ecef_mps: Array
     quaternion: Array
+    timing: Timing = UNTIMED
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class ReceiverFixes:
     longitude_deg: Array
     speed_mps: Array
     course_deg: Array
+    timing: Timing = UNTIMED
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,17 @@ class Comma:
     rotation_rate: Series
     fixes: ReceiverFixes | None
 
+    @property
+    def notes(self) -> dict[str, str]:
+        """By array, rows that are left out, and gaps."""
+        parts = (self.reference, self.speed, self.wheel_speed, self.acceleration, self.rotation_rate, self.fixes)
+        return notes(*((part.timing.name, None, part.timing) for part in parts if part is not None))
+
+    def bridged(self, time_s: Array, before_s: float = 0.0, after_s: float = 0.0) -> NDArray[np.bool_]:
+        """Whether times (T,) lie in a gap of the reference, of the speed or of the gyro, widened as given."""
+        parts = (self.reference, self.speed, self.rotation_rate)
+        return np.asarray(np.any([part.timing.bridged(time_s, before_s, after_s) for part in parts], axis=0))
+
 
 def read_comma(folder: str | Path) -> Comma:
     """Read a segment from its folder (``global_pose``, ``CAN``, ``IMU`` and, optionally, ``GNSS/live_gnss_ublox``).
@@ -78,7 +93,7 @@ def read_comma(folder: str | Path) -> Comma:
     Raises
     ------
     InputError
-        A required array is missing or malformed, or times do not increase; the message gives the file.
+        A required array is missing or malformed, or a tenth of its times go back; the message gives the file.
     """
     reader = _Reader(Path(folder))
     pose = Path("global_pose")
@@ -87,8 +102,8 @@ def read_comma(folder: str | Path) -> Comma:
     velocity = reader.rows(pose / "frame_velocities", 3)
     turn = reader.rows(pose / "frame_orientations", 4)
     n = min(map(len, (time, position, velocity, turn)))
-    reference = Reference(*(rows[:n] for rows in (time, position, velocity, turn)))
-    reader.check("global_pose/frame_times", reference.time_s)
+    keep, timing = in_order("global_pose/frame_times", time[:n])
+    reference = Reference(time[:n][keep], position[:n][keep], velocity[:n][keep], turn[:n][keep], timing)
     speed, wheels = reader.series("CAN/speed"), reader.series("CAN/wheel_speed", 4)
     acceleration, rate = reader.series("IMU/accelerometer", 3), reader.series("IMU/gyro", 3)
     fixes = _fixes(reader)
@@ -142,7 +157,7 @@ def _fixes(reader: _Reader) -> ReceiverFixes | None:
         return None
     found = reader.series("GNSS/live_gnss_ublox", 6)
     latitude, longitude, speed, _, _, course = found.value.T
-    return ReceiverFixes(found.time_s, latitude, longitude, speed, course)
+    return ReceiverFixes(found.time_s, latitude, longitude, speed, course, found.timing)
 
 
 class _Reader:
@@ -172,11 +187,5 @@ class _Reader:
         """The series of ``NAME/t`` and ``NAME/value``, cut to the shorter of the two."""
         time, value = self.rows(Path(name) / "t"), self.rows(Path(name) / "value", columns)
         n = min(len(time), len(value))
-        later = np.concatenate([[True], np.diff(np.maximum.accumulate(time[:n])) > 0.0])
-        return Series(time[:n][later], value[:n][later])
-
-    def check(self, name: str, time: Array) -> None:
-        """Refuse times that do not increase."""
-        if (np.diff(time) <= 0.0).any():
-            row = int(np.argmax(np.diff(time) <= 0.0)) + 1
-            raise InputError(f"{self.folder / name} must increase, row {row} does not: sort the rows by time")
+        keep, timing = in_order(f"{name}/t", time[:n])
+        return Series(time[:n][keep], value[:n][keep], timing)

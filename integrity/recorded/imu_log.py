@@ -4,8 +4,8 @@ A drive is three files. ``imu.csv`` has 100 lines a second without a head: speci
 [deg/s] on three axes, time since power-up [ms]; logging may begin and end within a line. ``imu.csv.tag`` is RTKLIB's
 time-tag file of it: 60 bytes of text, tick at the start (u4), GPS time at the start as seconds since 1970 (u4) and
 their fraction (f8), then for each received block the time since the start [ms] (u4) and the length of the file at that
-moment (u4, or u8 in later versions); little endian. ``gnss.pos`` is a solution of RTKLIB with times of day and
-velocities.
+moment (u4, or u8 in later versions); little endian. A solution of RTKLIB lies beside it
+(:mod:`~lanebound.integrity.recorded.rtklib`).
 
 The sensor's clock is tied to GPS time by a line fitted to all tags. Axes of the log are forward, left, up; those here
 forward, right, down. A sensor that is mounted askew is levelled by gravity at rest (:func:`levelled`), which leaves its
@@ -16,23 +16,23 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import ecef_from_geodetic
+from lanebound.integrity.recorded.series import UNTIMED, Timing, in_order
 from lanebound.integrity.recorded.source import Lines, Stop, finite_number
+from lanebound.integrity.recorded.time_scales import GPS_EPOCH_S
 
-__all__ = ["ImuLog", "SolutionTrack", "levelled", "read_imu_log", "read_solution_track"]
+__all__ = ["G_MPS2", "ImuLog", "levelled", "read_imu_log"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 G_MPS2 = 9.80665  # standard gravity, BIPM 1901
-GPS_EPOCH_S = 315_964_800.0  # 1980-01-06 in seconds since 1970
 HEAD_BYTES, START_BYTES = 60, 16
 COLUMNS = (
     *((f"specific force {axis}", -50.0, 50.0) for axis in "xyz"),
@@ -41,13 +41,10 @@ COLUMNS = (
 )
 SIGNS = np.array([1.0, -1.0, -1.0])  # from forward, left, up to forward, right, down
 REST_S, LEAST_ROWS = 2.0, 10
-COMMENT = "%"
-# (column, name, low, high) of a solution with date and time in the first two columns
-TRACK_COLUMNS = (
-    (2, "latitude", -90.0, 90.0), (3, "longitude", -180.0, 360.0), (4, "height", -1e4, 1e5), (5, "Q", 0, 10),
-    (7, "sdn", 0.0, 1e6), (8, "sde", 0.0, 1e6), (9, "sdu", 0.0, 1e6), (15, "vn", -1e3, 1e3), (16, "ve", -1e3, 1e3),
-    (17, "vu", -1e3, 1e3),
-)  # fmt: skip
+FORCE_UNITS = {"m/s^2": G_MPS2, "mg": 1e3, "cm/s^2": 100.0 * G_MPS2, "ft/s^2": G_MPS2 / 0.3048}
+CLOCKS = (0.99, 1.01)  # rate of GPS time against a sensor's clock
+CLOCK_UNITS = {"s": 1e3, "us": 1e-3, "ns": 1e-6}
+MOST_OFF_S = 0.1  # nine tenths of the tags from a line; blocks come within some hundredths
 
 
 @dataclass(frozen=True)
@@ -59,24 +56,12 @@ class ImuLog:
     force_mps2: Array
     rate_radps: Array
     stopped: Stop | None
+    timing: Timing = UNTIMED
 
     @property
     def rate_hz(self) -> float:
         """Samples in a second."""
         return float(1.0 / np.median(np.diff(self.gps_time_s)))
-
-
-@dataclass(frozen=True)
-class SolutionTrack:
-    """Epochs (T,) of a solution: GPS time [s since 1980-01-06], position (T, 3) ECEF [m], deviations (T, 3) and
-    velocity (T, 3) in North, East, Up [m], [m/s], quality (1 fixed, 2 float)."""
-
-    gps_time_s: Array
-    position_ecef_m: Array
-    sigma_neu_m: Array
-    velocity_neu_mps: Array
-    quality: Ints
-    stopped: Stop | None
 
 
 def read_imu_log(path: str | Path, tag: str | Path | None = None) -> ImuLog:
@@ -89,25 +74,46 @@ def read_imu_log(path: str | Path, tag: str | Path | None = None) -> ImuLog:
     InputError
         A file cannot be read, a line between the first and the last is malformed, or fewer than ten samples remain.
     """
-    rows, ends, stop = _samples(path)
+    rows, ends, line_of, stop = _samples(path)
     if len(rows) < LEAST_ROWS:
         raise InputError(f"{path} must have at least {LEAST_ROWS} samples, got {len(rows)}: is it the log of an IMU?")
-    clock_s = 1e-3 * rows[:, 6]
-    if (np.diff(clock_s) < 0.0).any():
-        late = int(np.argmax(np.diff(clock_s) < 0.0)) + 2
-        raise InputError(f"{path}, sample {late}: time since power-up must not decrease: cut the file there")
-    start_s, tick_s, length = _tags(Path(f"{path}.tag" if tag is None else tag))
-    newest = np.searchsorted(ends, length, side="right") - 1  # last whole line that a block has brought
-    known = newest >= 0
+    clock_s = 1e-3 * rows[:, 6] - 1e-3 * rows[0, 6]
+    keep, timing = in_order(path, clock_s)
+    rows, ends, line_of, clock_s = rows[keep], ends[keep], line_of[keep], clock_s[keep]
+    tags = Path(f"{path}.tag" if tag is None else tag)
+    start_s, tick_s, received = _tags(tags)
+    # a copy whose line ends were changed has one byte less in each line than the tags count
+    fits = [_clock(path, clock_s, read, timing, tick_s, received) for read in (ends, ends + line_of)]
+    rate, offset, off_s = min(fits, key=lambda fit: fit[2])
+    unit = next((unit for unit, factor in CLOCK_UNITS.items() if 0.9 < rate / factor < 1.1), "")
+    if off_s > MOST_OFF_S and not unit:
+        raise InputError(
+            f"the clock of {path} must keep to a line through its time tags within {MOST_OFF_S:g} s, is {off_s:.2f} s "
+            "off: one of them jumps, or the tags are of another log; cut the files there, or give its own tags"
+        )
+    if not CLOCKS[0] < rate < CLOCKS[1]:
+        raise InputError(
+            f"the clock of {path} must run within 1 % of its time tags, got a factor of {rate:.4f}: "
+            f"{f'it is probably in {unit}, not in ms' if unit else 'give its own tags'}"
+        )
+    start = start_s + offset
+    timing = replace(timing, gaps_s=start + rate * timing.gaps_s)
+    return ImuLog(start + rate * clock_s, G_MPS2 * SIGNS * rows[:, :3], np.radians(SIGNS * rows[:, 3:6]), stop, timing)
+
+
+def _clock(
+    path: str | Path, clock_s: Array, ends: Ints, timing: Timing, tick_s: Array, received: Ints
+) -> tuple[float, float, float]:
+    """Rate and offset of the time tags against the clock of the rows, and what most tags are off at most [s]."""
+    newest = np.searchsorted(ends, received, side="right") - 1  # last whole line that a block has brought
+    # blocks beyond the end of a log that is cut, or in a gap, bring no line: they say nothing of the clock
+    silent = np.isin(clock_s[np.maximum(newest, 0)], timing.gaps_s[:, 0]) | (newest == ends.size - 1)
+    known = (newest >= 0) & ~(silent & (np.diff(newest, prepend=-1) == 0))
     if known.sum() < 2:
         raise InputError(f"{path} and its time tags must belong together, {int(known.sum())} tags fit: give its own")
-    rate, offset = np.polyfit(clock_s[newest[known]] - clock_s[0], tick_s[known], 1)
-    if not 0.99 < rate < 1.01:
-        raise InputError(
-            f"the clock of {path} must run within 1 % of its time tags, got a factor of {rate:.4f}: give its own tags"
-        )
-    time = start_s + offset + rate * (clock_s - clock_s[0])
-    return ImuLog(time, G_MPS2 * SIGNS * rows[:, :3], np.radians(SIGNS * rows[:, 3:6]), stop)
+    rate, offset = np.polyfit(clock_s[newest[known]], tick_s[known], 1)
+    off = np.abs(tick_s[known] - offset - rate * clock_s[newest[known]])
+    return float(rate), float(offset), float(np.quantile(off, 0.9))
 
 
 def levelled(log: ImuLog, rest_s: float = REST_S) -> tuple[ImuLog, float, float]:
@@ -123,10 +129,14 @@ def levelled(log: ImuLog, rest_s: float = REST_S) -> tuple[ImuLog, float, float]
     """
     rest = log.gps_time_s < log.gps_time_s[0] + rest_s
     mean = log.force_mps2[rest].mean(0)
-    if not abs(float(np.linalg.norm(mean)) / G_MPS2 - 1.0) < 0.05:
+    size = float(np.linalg.norm(mean)) / G_MPS2
+    if not abs(size - 1.0) < 0.05:
+        unit = next(
+            (f"it is probably in {u}, not in g" for u, f in FORCE_UNITS.items() if abs(size / f - 1.0) < 0.05), ""
+        )
         raise InputError(
-            f"the first {rest_s:g} s must be at rest, got a mean force of {float(np.linalg.norm(mean)):.2f} m/s^2: "
-            "give another length"
+            f"the first {rest_s:g} s must be at rest, got a mean force of {size * G_MPS2:.2f} m/s^2: "
+            f"{unit or 'give another length'}"
         )
     roll = float(np.arctan2(-mean[1], -mean[2]))
     pitch = float(np.arctan2(mean[0], np.hypot(mean[1], mean[2])))
@@ -135,74 +145,36 @@ def levelled(log: ImuLog, rest_s: float = REST_S) -> tuple[ImuLog, float, float]
     return replace(log, force_mps2=log.force_mps2 @ turn.T, rate_radps=log.rate_radps @ turn.T), roll, pitch
 
 
-def read_solution_track(path: str | Path) -> SolutionTrack:
-    """Read a solution of RTKLIB with dates, geodetic positions and velocities, plain or gzip.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, a line before the last is malformed or without velocities, or there is none.
-    """
-    lines, refusal, found = Lines(path), "", array("d")
+def _samples(path: str | Path) -> tuple[Array, Ints, Ints, Stop | None]:
+    """Numbers of the whole lines (N, 7), the byte after each (N,), for lines that end in LF alone also their numbers
+    (N,), otherwise zeros, and the place where reading stopped."""
+    lines, refusal, found, places = Lines(path), "", array("d"), array("q")
     stop: Stop | None = None
+    text_bytes = 0
     for text in lines:
         if refusal:
             raise InputError(refusal)
-        if not text.strip() or text.startswith(COMMENT):
-            continue
-        try:
-            found.extend(_epoch(text.split()))
-        except ValueError as error:
-            refusal, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
-    rows = np.array(found).reshape(-1, 1 + len(TRACK_COLUMNS))
-    if not len(rows):
-        raise InputError(f"{path} must hold at least one position, got none: {refusal or 'is it the right file?'}")
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    place = ecef_from_geodetic(np.radians(rows[:, 1]), np.radians(rows[:, 2]), rows[:, 3])
-    return SolutionTrack(
-        rows[:, 0], place, rows[:, 5:8], rows[:, 8:11], rows[:, 4].astype(np.int64), stop or lines.stop
-    )
-
-
-def _epoch(words: list[str]) -> list[float]:
-    """Numbers of a line; ValueError with the column."""
-    if len(words) <= TRACK_COLUMNS[-1][0]:
-        raise ValueError(f"must have velocities in columns 16 to 18, got {len(words)} columns: write them (out-outvel)")
-    try:
-        moment = datetime.strptime(f"{words[0]} {words[1]}", "%Y/%m/%d %H:%M:%S.%f").replace(tzinfo=UTC)
-    except ValueError:
-        raise ValueError(f"date and time must be as 2025/07/08 19:34:18.499, got {' '.join(words[:2])!r}") from None
-    values = [moment.timestamp() - GPS_EPOCH_S]
-    for column, name, low, high in TRACK_COLUMNS:
-        try:
-            values.append(finite_number(words[column], low, high))
-        except ValueError as error:
-            raise ValueError(f"{name} {error}") from None
-    return values
-
-
-def _samples(path: str | Path) -> tuple[Array, Ints, Stop | None]:
-    """Numbers of the whole lines (N, 7), the byte after each (N,), and the place where reading stopped."""
-    lines, refusal, found, ends = Lines(path), "", array("d"), array("q")
-    stop: Stop | None = None
-    for text in lines:
-        if refusal:
-            raise InputError(refusal)
+        text_bytes += len(text) + 1
         try:
             numbers = _numbers(text)
         except ValueError as error:
-            if lines.number > 1:
+            if lines.number > 1 and text.strip():
                 refusal, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
             continue
         found.extend(numbers)
-        ends.append(lines.read)
-    return np.array(found).reshape(-1, len(COLUMNS)), np.array(ends, dtype=np.int64), stop or lines.stop
+        places.extend((lines.read, lines.number))
+    at = np.array(places, dtype=np.int64).reshape(-1, 2)
+    plain = lines.read - text_bytes < 0.5 * lines.number
+    return np.array(found).reshape(-1, len(COLUMNS)), at[:, 0], at[:, 1] * plain, stop or lines.stop
 
 
 def _numbers(text: str) -> list[float]:
-    words = text.split(",")
+    words = text.replace(";", ",").replace("\t", ",").split(",")
     if len(words) < len(COLUMNS):
-        raise ValueError(f"must have {len(COLUMNS)} columns, got {len(words)}: the line is truncated")
+        raise ValueError(
+            f"must have {len(COLUMNS)} columns between commas, semicolons or tabs, got {len(words)}: the line is "
+            "truncated"
+        )
     values = []
     for (name, low, high), word in zip(COLUMNS, words, strict=False):
         try:

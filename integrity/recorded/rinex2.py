@@ -53,7 +53,7 @@ def as_version_3(lines: Iterable[str]) -> Iterator[str]:
         if text[LABEL_AT:].strip() == FIRST_LABEL:  # of a file that was joined to this one
             yield from as_version_3(chain([text], source))
         elif text.strip():
-            yield from _epoch(text, source, columns, rows, usual)
+            yield from _epoch(text, source, types, columns, rows, usual)
 
 
 def _header(source: Iterator[str]) -> Generator[str, None, list[str]]:
@@ -112,16 +112,23 @@ def _columns(system: str, types: list[str]) -> list[Column]:
     return out
 
 
-def _epoch(text: str, source: Iterator[str], columns: dict[str, list[Column]], rows: int, usual: str) -> Iterator[str]:
+def _epoch(
+    text: str, source: Iterator[str], types: list[str], columns: dict[str, list[Column]], rows: int, usual: str
+) -> Iterator[str]:
     """One epoch and its rows; ``usual`` is the system of satellites without a letter."""
     flag = whole_number(text[26:29], 0, LAST_FLAG) if text[26:29].strip() else 0
     count = whole_number(text[29:32], 0, MOST_SATELLITES) if text[29:32].strip() else 0
     yield f">{_date(text[:26])}  {flag}{count:3d}"
     if flag not in WITH_ROWS:
+        again: list[str] = []
         for _, event in zip(range(count), source, strict=False):
-            if event[LABEL_AT:].strip() == TYPES_LABEL:
-                raise ValueError("types of observables must not change inside the file: split it there")
-            yield event if event.strip() else f"{'':{LABEL_AT}}COMMENT"
+            same = event[LABEL_AT:].strip() == TYPES_LABEL
+            again += event[6:LABEL_AT].split() if same else []
+            if again != types[: len(again)]:
+                raise ValueError(_changed(types, again))
+            yield event if event.strip() and not same else f"{'':{LABEL_AT}}COMMENT"
+        if again and again != types:
+            raise ValueError(_changed(types, again))
         return
     names, more = text[32:68], count - PER_EPOCH_LINE
     while more > 0:
@@ -135,6 +142,10 @@ def _epoch(text: str, source: Iterator[str], columns: dict[str, list[Column]], r
         whole = "".join(f"{cell:<80}"[:80] for cell in cells if cell is not None)
         system = name[:1].strip() or usual
         yield f"{system}{whole_number(name[1:], 0, 99):02d}" + _row(whole, columns.get(system, []))
+
+
+def _changed(types: list[str], again: list[str]) -> str:
+    return f"types of observables must not change inside the file, from {types} to {again}: split it there"
 
 
 def _row(cells: str, columns: list[Column]) -> str:

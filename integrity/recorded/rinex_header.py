@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.packed import CRINEX_REMEDY
 from lanebound.integrity.recorded.source import finite_number, whole_number
 
 __all__ = ["FIRST_LABEL", "LABEL_AT", "SYSTEMS", "Header", "HeaderBuilder", "b1_in_band_2"]
@@ -80,10 +81,10 @@ class HeaderBuilder:
         """Parse one line of the header."""
         label, text = line[LABEL_AT:].strip(), line[:LABEL_AT]
         if self.version is None and label != FIRST_LABEL:
-            remedy = "decompress it with crx2rnx" if label.startswith("CRINEX") else "is it a RINEX file?"
+            remedy = CRINEX_REMEDY if label.startswith("CRINEX") else "is it a RINEX file?"
             raise ValueError(f"the first line must be 'RINEX VERSION / TYPE', got {line[:80]!r}: {remedy}")
         reader = READERS.get(label)
-        if reader is not None:
+        if reader is not None and (text.strip() or label in NEVER_BLANK):  # a blank optional record is a missing one
             reader(self, text)
 
     def build(self) -> Header:
@@ -157,7 +158,8 @@ class HeaderBuilder:
     def _scale(self, text: str) -> None:
         if text[0] != " ":
             count = whole_number(text[8:10], 0, MAX_CODES) if text[8:10].strip() else 0
-            self.scaled = (text[0], float(whole_number(text[2:6], 1, 10_000)), count)
+            factor = float(whole_number(text[2:6], 1, 10_000)) if text[2:6].strip() else 1.0
+            self.scaled = (text[0], factor, count)
         system, factor, count = self.scaled
         for code in text[10:].split() if count else self.codes.get(system, ()):
             self.scale[system, code] = factor
@@ -166,6 +168,8 @@ class HeaderBuilder:
         for i in range(8):
             entry = text[4 + 7 * i : 11 + 7 * i]
             if entry.strip():
+                if not entry[4:6].strip():
+                    continue  # a satellite without its channel, which some receivers do not know
                 if entry[0] != "R":
                     raise ValueError(f"GLONASS SLOT / FRQ #: an entry is like 'R01  1', got {entry!r}")
                 self.channel[whole_number(entry[1:3], 0, 99)] = whole_number(entry[4:6], -12, 24)
@@ -179,10 +183,10 @@ class HeaderBuilder:
         self.time_system = named
 
     def _set_interval(self, text: str) -> None:
-        self.interval = finite_number(text[:10], 0.0, 1e6) or None
+        self.interval = finite_number(text[:10], 0.0, 1e6) or None if text[:10].strip() else None
 
     def _leap(self, text: str) -> None:
-        self.leap = whole_number(text[:6], -1000, 1000)
+        self.leap = whole_number(text[:6], -1000, 1000) if text[:6].strip() else None
 
     def _marker(self, text: str) -> None:
         self.marker = text.strip()
@@ -208,6 +212,7 @@ def b1_in_band_2(code: str, version: float) -> str:
     return f"{code[0]}2{code[2]}" if code[1:2] == "1" and code[2:] in tuple(channels) else code
 
 
+NEVER_BLANK = (FIRST_LABEL, "SYS / # / OBS TYPES", "END OF HEADER")
 READERS = {
     FIRST_LABEL: HeaderBuilder._version,
     "MARKER NAME": HeaderBuilder._marker,

@@ -9,6 +9,7 @@ form of version 3 (:mod:`.rinex2`).
 
 from __future__ import annotations
 
+import math
 from array import array
 from dataclasses import dataclass, field
 from datetime import date
@@ -19,11 +20,19 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex2 import as_version_3
-from lanebound.integrity.recorded.rinex_header import FIRST_LABEL, LABEL_AT, SYSTEMS, Header, HeaderBuilder
+from lanebound.integrity.recorded.rinex_header import (
+    FIRST_LABEL,
+    LABEL_AT,
+    SYSTEMS,
+    Header,
+    HeaderBuilder,
+    b1_in_band_2,
+)
 from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
+from lanebound.integrity.recorded.time_scales import BDT_BEHIND_GPS_S
 from lanebound.integrity.sky.systems import PRN_BEFORE
 
-__all__ = ["Observations", "SystemRows", "read_observations"]
+__all__ = ["Move", "Observations", "SystemRows", "read_observations"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,7 +43,8 @@ WEEK_S = 604_800
 ORIGIN = date(1980, 1, 6)
 GOOD, POWER_FAILURE, CYCLE_SLIPS, MAX_FLAG, LEFT_OUT = 0, 1, 6, 6, 7  # of epochs; the last one is ours
 MAX_SATELLITES = 999
-BDT_BEHIND_GPS_S = 14.0  # BeiDou time starts at 2006-01-01 without the leap seconds before that date
+SITE_LABELS = ("APPROX POSITION XYZ", "ANTENNA: DELTA H/E/N")
+STARTS_TO_MOVE, SAME_PLACE_M = 2, 0.01
 MOST_GARBLED = 20  # values that are no numbers; a file with more of them is damaged
 DATE_PARTS = ("year", "month", "day", "hour", "minute")
 SAME_TIME = ("GPS", "GAL", "QZS", "IRN", "BDT")
@@ -67,12 +77,28 @@ class SystemRows:
 
 
 @dataclass(frozen=True)
+class Move:
+    """A record inside a file by which the antenna moved: line, GPS week and time of week [s] of the epoch before it,
+    what it says, and whether that is only of the approximate position, which need not be that of the antenna."""
+
+    line: int
+    week: int
+    tow_s: float
+    what: str
+    approximate: bool = False
+
+    def __str__(self) -> str:
+        return f"line {self.line} (after week {self.week}, {self.tow_s:.1f} s): {self.what}"
+
+
+@dataclass(frozen=True)
 class Observations:
     """Header, GPS week (T,), time of week (T,) [s], power failure before an epoch (T,), and rows by system letter.
 
     ``stopped`` tells where reading ended before the end of the file, ``left_out`` how many epochs were not later than
     the one before and were left out (files that were joined, epochs that are there twice), ``undeclared`` how many rows
-    were of systems without codes in the header, by letter, and ``garbled`` how many values were no numbers.
+    were of systems without codes in the header, by letter, ``garbled`` how many values were no numbers, ``twice`` how
+    many rows were of a satellite that its epoch has already, and ``moves`` where the file says that the antenna moved.
     """
 
     header: Header
@@ -84,6 +110,8 @@ class Observations:
     left_out: int = 0
     undeclared: dict[str, int] = field(default_factory=dict)
     garbled: int = 0
+    twice: int = 0
+    moves: tuple[Move, ...] = ()
 
     @property
     def note(self) -> str:
@@ -92,7 +120,9 @@ class Observations:
         rows = ", ".join(f"{count} of {letter}" for letter, count in self.undeclared.items())
         rows = f"rows left out of systems without SYS / # / OBS TYPES: {rows}" if rows else ""
         garbled = f"{self.garbled} values left out that are no numbers" if self.garbled else ""
-        return "; ".join(text for text in (str(self.stopped or ""), late, rows, garbled) if text)
+        twice = f"{self.twice} rows left out of satellites that their epochs have already" if self.twice else ""
+        moves = f"{self.moves[0]}, not followed" if self.moves else ""
+        return "; ".join(text for text in (str(self.stopped or ""), late, rows, garbled, twice, moves) if text)
 
     @property
     def half_cycle_share(self) -> float:
@@ -128,7 +158,7 @@ def read_observations(path: str | Path, max_bytes: int = MAX_BYTES) -> Observati
         no epoch.
     """
     lines = Lines(path, max_bytes)
-    parser = _Parser()
+    parser = _Parser(lines)
     refusal: Stop | None = None
     try:
         for text in as_version_3(lines):
@@ -173,14 +203,16 @@ class _ObservationRows:
 class _Parser:
     """Parser state: header, then epochs; ``left`` is the number of remaining lines of the current epoch."""
 
-    def __init__(self) -> None:
-        self.builder = HeaderBuilder()
+    def __init__(self, lines: Lines) -> None:
+        self.lines, self.builder, self.event = lines, HeaderBuilder(), HeaderBuilder()
         self.header: Header | None = None
         self.rows: dict[str, _ObservationRows] = {}
         self.week, self.tow, self.power = array("q"), array("d"), array("b")
         self.left, self.flag, self.done, self.left_out = 0, GOOD, 0, 0
         self.undeclared: dict[str, int] = {}
-        self.garbled = 0
+        self.garbled, self.twice = 0, 0
+        self.seen: set[str] = set()
+        self.moves: list[Move] = []
 
     def unfinished(self) -> str:
         """The missing part at the end of the file, "" for none."""
@@ -202,6 +234,8 @@ class _Parser:
             self._below(text)
             self.left -= 1
             if self.left == 0:
+                if self.event.version is not None:
+                    self._end_event()
                 self.done = len(self.tow)
 
     def _start(self, header: Header) -> None:
@@ -213,6 +247,8 @@ class _Parser:
         if self.header is not None:
             if header.codes != self.header.codes or header.scale != self.header.scale:
                 raise ValueError("joined files must have the same observation codes: process them one by one")
+            for label in SITE_LABELS:
+                self._moved(label, self.builder)
             return
         self.header = header
         for system, codes in header.codes.items():
@@ -223,6 +259,13 @@ class _Parser:
             raise ValueError(f"an epoch must start with '>', got {text[:40]!r}")
         self.flag = whole_number(text[29:32] or "0", 0, MAX_FLAG) if text[29:32].strip() else GOOD
         self.left = whole_number(text[32:35], 0, MAX_SATELLITES)
+        self.seen.clear()
+        if self.flag == STARTS_TO_MOVE:
+            self._note_move("the antenna starts to move")
+        if self.header is not None and self.left and self.flag not in (GOOD, POWER_FAILURE, CYCLE_SLIPS):
+            self.event = HeaderBuilder(
+                self.header.version, position=self.header.position_ecef_m, offset=self.header.antenna_delta_enu_m
+            )
         if self.flag in (GOOD, POWER_FAILURE):
             assert self.header is not None
             week, tow = _gps_time(text[1:29], BDT_BEHIND_GPS_S if self.header.time_system == "BDT" else 0.0)
@@ -249,6 +292,11 @@ class _Parser:
             satellite = whole_number(text[1:3], 0, 99) + PRN_BEFORE.get(text[0], 0)
         except ValueError as error:
             raise ValueError(f"the number of satellite {text[:3]!r} {error}") from None
+        name = f"{text[0]}{satellite}"
+        if name in self.seen:  # the first one counts; which is right cannot be known
+            self.twice += 1
+            return
+        self.seen.add(name)
         values, lost, garbled = _fields(text, rows.codes)
         if garbled:
             self.garbled += 1
@@ -270,9 +318,42 @@ class _Parser:
         self.undeclared[text[0]] = self.undeclared.get(text[0], 0) + 1
 
     def _event_header(self, text: str) -> None:
-        """Refuse header lines inside the file that change the columns."""
-        if text[60:].strip() in ("SYS / # / OBS TYPES", "SYS / SCALE FACTOR"):
-            raise ValueError("observation codes must not change inside the file: split it there")
+        """Parse a header line inside the file; what has no label of a header is passed over."""
+        self.event.take(text)
+        label = text[LABEL_AT:].strip()
+        if label == "SYS / SCALE FACTOR" and text[:LABEL_AT].strip() and not self.event.scale:
+            raise ValueError("scale factors must not change inside the file: split it there")
+        if label in SITE_LABELS:
+            self._moved(label, self.event)
+
+    def _end_event(self) -> None:
+        """Refuse columns that an event changed; the same ones again change nothing."""
+        event, self.event = self.event, HeaderBuilder()
+        assert event.version is not None
+        assert self.header is not None
+        codes = event.build().codes if event.codes else {}
+        for system, columns in codes.items():
+            if columns != self.header.codes.get(system):
+                raise ValueError(
+                    f"observation codes of {system} must not change inside the file, from "
+                    f"{' '.join(self.header.codes.get(system, ('none',)))} to {' '.join(columns)}: split it there"
+                )
+        scale = {(s, b1_in_band_2(c, event.version) if s == "C" else c): f for (s, c), f in event.scale.items()}
+        if any(self.header.scale.get(code, 1.0) != factor for code, factor in scale.items()):
+            raise ValueError("scale factors must not change inside the file: split it there")
+
+    def _moved(self, label: str, later: HeaderBuilder) -> None:
+        """Keep that a record inside the file puts the antenna elsewhere."""
+        assert self.header is not None
+        marker = label == SITE_LABELS[0]
+        old = self.header.position_ecef_m if marker else self.header.antenna_delta_enu_m
+        new = later.position if marker else later.offset
+        if old is not None and new is not None and math.dist(old, new) > SAME_PLACE_M:
+            self._note_move(f"{label} is {math.dist(old, new):.3f} m from that of the header", marker)
+
+    def _note_move(self, what: str, approximate: bool = False) -> None:
+        if self.tow:
+            self.moves.append(Move(self.lines.number, self.week[-1], self.tow[-1], what, approximate))
 
     def result(self, path: str | Path, stopped: Stop | None) -> Observations:
         """Arrays of all complete epochs."""
@@ -283,7 +364,10 @@ class _Parser:
         week, tow = np.array(self.week[:n], dtype=np.int64), np.array(self.tow[:n])
         power = np.array(self.power[:n], dtype=np.bool_)
         rows = {system: r.finished(n) for system, r in self.rows.items()}
-        return Observations(self.header, week, tow, power, rows, stopped, self.left_out, self.undeclared, self.garbled)
+        return Observations(
+            self.header, week, tow, power, rows, stopped, self.left_out, self.undeclared, self.garbled,
+            self.twice, tuple(self.moves),
+        )  # fmt: skip
 
 
 def _gps_time(text: str, ahead_s: float) -> tuple[int, float]:

@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 KMH_MPS, MPH_MPS = 1.0 / 3.6, 0.44704
 USUAL_LIMIT_MPS = 50.0 * KMH_MPS  # of a road without a limit: towns
 FASTEST_MPS = 100.0
+MOST_MALFORMED = 0.1  # share of ways; a file with more of them is not what it seems
 NO_CARS = frozenset({
     "footway", "cycleway", "path", "steps", "pedestrian", "bridleway", "corridor", "platform", "track", "proposed",
     "construction", "elevator", "raceway",
@@ -55,11 +56,15 @@ class RoadLine:
 
 @dataclass(frozen=True)
 class RoadLines:
-    """The lines of a file, and what it holds beside: features that are no lines, and ways without cars."""
+    """The lines of a file, and what it holds beside: features that are no lines, ways without cars, ways and limits
+    that are malformed, the first of them in words."""
 
     lines: tuple[RoadLine, ...]
     others: int
     without_cars: int
+    malformed: int = 0
+    limits: int = 0
+    first: str = ""
 
 
 def read_roads(path: str | Path) -> RoadLines:
@@ -68,12 +73,14 @@ def read_roads(path: str | Path) -> RoadLines:
     Raises
     ------
     InputError
-        The file cannot be read, is no GeoJSON in longitude and latitude, or holds no road.
+        The file cannot be read, is no GeoJSON in longitude and latitude, holds no road, or more than a tenth of its
+        ways are malformed.
     """
     path = Path(path)
     features = _features(path, _document(path))
     lines: list[RoadLine] = []
-    others = without_cars = 0
+    others = without_cars = limits = 0
+    wrong: list[str] = []
     for number, feature in enumerate(features):
         where = f"{path}, feature {number}"
         if not isinstance(feature, Mapping):
@@ -84,20 +91,26 @@ def read_roads(path: str | Path) -> RoadLines:
         elif str(given.get("highway", "")) in NO_CARS:
             without_cars += 1
         else:
-            lines += _lines(where, geometry, feature, given, number)
+            try:
+                lines += _lines(where, geometry, feature, given, number)
+                limits += _limit(given.get("maxspeed")) is None
+            except InputError as error:  # one bad way of a city is no reason to refuse it
+                wrong.append(str(error))
+    if len(wrong) > max(MOST_MALFORMED * (len(lines) + len(wrong)), 1.0) or (wrong and not lines):
+        raise InputError(f"{wrong[0]} ({len(wrong)} of {len(lines) + len(wrong)} ways of the file are malformed)")
     if not lines:
         raise InputError(
             f"{path} must hold a LineString that cars drive on, has {others} other features and {without_cars} ways "
             "without cars: export the streets as lines"
         )
-    return RoadLines(tuple(lines), others, without_cars)
+    return RoadLines(tuple(lines), others, without_cars, len(wrong), limits, wrong[0] if wrong else "")
 
 
 def _document(path: Path) -> Mapping[str, Any]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"{path} must have at most {MAX_BYTES} bytes, has {path.stat().st_size}: cut out an area")
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"map must be a file that can be read, got {path} ({error.strerror}): correct the path") from (
             error
@@ -136,7 +149,7 @@ def _lines(
     names = (given.get("name"), given.get("ref"), given.get("id"), given.get("@id"), feature.get("id"), number)
     name = str(next(value for value in names if value not in (None, "")))
     along, against = _directions(given)
-    limit = _limit(where, given.get("maxspeed"))
+    limit = _limit(given.get("maxspeed")) or USUAL_LIMIT_MPS
     found = [RoadLine(_vertices(where, part), name, limit, along, against) for part in parts]
     return [line for line in found if len(line.lon_lat_deg) > 1]
 
@@ -168,14 +181,12 @@ def _directions(given: Mapping[str, Any]) -> tuple[bool, bool]:
     return True, not (way in FORWARD or (one and way not in BOTH))
 
 
-def _limit(where: str, given: Any) -> float:
-    """A speed limit [m/s]; that of towns where none is given in numbers."""
+def _limit(given: Any) -> float | None:
+    """A speed limit [m/s]; that of towns where none is given in numbers, None for one that no road has."""
     text = str(given if given is not None else "").strip().lower()
     unit = MPH_MPS if text.endswith("mph") else KMH_MPS
     try:
         limit = unit * float(text.removesuffix("mph").removesuffix("km/h").strip())
     except ValueError:
         return USUAL_LIMIT_MPS  # none, walk, DE:urban
-    if not 0.0 < limit <= FASTEST_MPS:
-        raise InputError(f"{where}: maxspeed must lie in (0, {FASTEST_MPS / KMH_MPS:g}] km/h, got {text}: correct it")
-    return limit
+    return limit if 0.0 < limit <= FASTEST_MPS else None

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.recorded.series import require_degrees
 from lanebound.integrity.recorded.source import Lines, Stop, finite_number
 from lanebound.integrity.sky.visibility import SignalPath
 
@@ -40,6 +41,7 @@ NUMBERS = (
 )
 PATHS = {path.name.lower(): int(path) for path in SignalPath if path <= SignalPath.BLOCKED}  # those of masks
 LONGEST_NAME = 8
+LONGEST_STEPS, LONGEST_GAP_M = 10.0, 100.0  # of the usual distance between rows, and without any
 MOST_BYTES = 32 * 2**20  # about 600,000 rows, 3,000 km of street
 # Scales of the distance between rows: half a house front along the street, and angles; elevation has more influence
 # than azimuth. In Berlin (leave-one-satellite-out) these scales predict 79 % of the rows correctly; with half or twice
@@ -161,6 +163,9 @@ def read_sky_recording(path: str | Path) -> SkyRecording:
             f"{path} must hold rows under '{HEAD}', has none: {refusal or 'is it of lanebound record-sky?'}"
         )
     table = np.array(values)
+    require_degrees(f"elevations of {path}", table[:, 2])
+    require_degrees(f"azimuths of {path}", table[:, 1], 2.0 * np.pi)
+    _require_cover(path, np.unique(table[:, 0]))
     if not length > table[:, 0].max() * (1.0 - 1e-6):
         raise InputError(
             f"{path} must give '# length_m=' of the drive, at least its largest arc_m {table[:, 0].max():g}, got "
@@ -170,6 +175,19 @@ def read_sky_recording(path: str | Path) -> SkyRecording:
         np.array(names), table[:, 0], np.radians(table[:, 1]), np.radians(table[:, 2]), np.array(kinds, np.uint8),
         table[:, 3], table[:, 4], length, stop or lines.stop,
     )  # fmt: skip
+
+
+def _require_cover(path: str | Path, arc_m: Array) -> None:
+    """Refuse a drive with a long part without any row, for which the rows of another place would be taken."""
+    step = np.diff(arc_m)
+    if not step.size:
+        return
+    longest = int(np.argmax(step))
+    if step[longest] > max(LONGEST_STEPS * float(np.median(step)), LONGEST_GAP_M):
+        raise InputError(
+            f"{path} must have rows along the whole drive, has none between {arc_m[longest]:g} and "
+            f"{arc_m[longest + 1]:g} m: record it again, or cut it there"
+        )
 
 
 def _length(text: str) -> float:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.recorded.series import UNTIMED, Timing, in_order, notes, require_degrees
 from lanebound.integrity.recorded.source import Lines, Stop, finite_number
 
 __all__ = ["SYSTEM_LETTERS", "GroundTruth", "Odometry", "Pseudoranges", "SmartLoc", "read_smartloc"]
@@ -89,12 +90,25 @@ class GroundTruth:
 
 @dataclass(frozen=True)
 class SmartLoc:
-    """A drive; ``truth`` is None without a ground truth file, ``stopped`` is the place where a truncated file ends."""
+    """A drive; ``truth`` is None without a ground truth file, ``stopped`` is the place where a truncated file ends,
+    ``timings`` is what the times of ``pseudorange3``, ``odom3`` and ``point3`` show."""
 
     ranges: Pseudoranges
     odometry: Odometry
     truth: GroundTruth | None
     stopped: Stop | None
+    timings: dict[str, Timing] = field(default_factory=dict)
+
+    @property
+    def notes(self) -> dict[str, str]:
+        """By kind of line, rows that are left out, and gaps, and where a truncated file ends."""
+        return notes(
+            *((name, None, timing) for name, timing in self.timings.items()), ("smartloc", self.stopped, UNTIMED)
+        )
+
+    def bridged(self, time_s: Array, after_s: float = 0.0) -> NDArray[np.bool_]:
+        """Whether times (T,) lie in a gap of wheels and gyro, or up to ``after_s`` later."""
+        return self.timings.get("odom3", UNTIMED).bridged(time_s, after_s=after_s)
 
 
 def read_smartloc(path: str | Path, truth: str | Path | None = None) -> SmartLoc:
@@ -109,10 +123,15 @@ def read_smartloc(path: str | Path, truth: str | Path | None = None) -> SmartLoc
     if truth is not None:
         true_rows, true_stop = _read(truth, ("point3",))
         rows["point3"], stopped = true_rows["point3"], stopped or true_stop
-    ranges = _sorted(rows["pseudorange3"])
+    timings: dict[str, Timing] = {}
+    for name in rows:
+        keep, timings[name] = in_order(f"{path}, {name}", rows[name][:, 0], repeated=name == "pseudorange3")
+        rows[name] = rows[name][keep]
+    ranges = rows["pseudorange3"]
     if not ranges.shape[0]:
         raise InputError(f"{path} must hold lines 'pseudorange3', got none: is it the *_Input file of smartLoc?")
-    return SmartLoc(_pseudoranges(ranges), _odometry(_sorted(rows["odom3"])), _truth(rows["point3"], truth), stopped)
+    require_degrees(f"elevations of {path}", ranges[:, 8])
+    return SmartLoc(_pseudoranges(ranges), _odometry(rows["odom3"]), _truth(rows["point3"], truth), stopped, timings)
 
 
 def _read(path: str | Path, wanted: tuple[str, ...]) -> tuple[dict[str, Array], Stop | None]:
@@ -151,11 +170,6 @@ def _numbers(words: list[str]) -> list[float]:
     return values
 
 
-def _sorted(rows: Array) -> Array:
-    """Sort rows by time; rows of the same time stay in order."""
-    return np.asarray(rows[np.argsort(rows[:, 0], kind="stable")])
-
-
 def _pseudoranges(rows: Array) -> Pseudoranges:
     letters = np.array([SYSTEM_LETTERS.get(int(code), "?") for code in rows[:, 7]], dtype="U1")
     return Pseudoranges(
@@ -165,7 +179,6 @@ def _pseudoranges(rows: Array) -> Pseudoranges:
 
 
 def _odometry(rows: Array) -> Odometry:
-    rows = rows[np.concatenate([[True], np.diff(rows[:, 0]) > 0.0])] if rows.shape[0] else rows
     return Odometry(rows[:, 0], rows[:, 1], rows[:, 6], rows[:, 7], rows[:, 12])
 
 
@@ -174,8 +187,6 @@ def _truth(rows: Array, path: str | Path | None) -> GroundTruth | None:
         if path is not None:
             raise InputError(f"{path} must hold lines 'point3', got none: is it the *_GT file of smartLoc?")
         return None
-    rows = _sorted(rows)
-    rows = rows[np.concatenate([[True], np.diff(rows[:, 0]) > 0.0])]
     if math.isclose(float(np.abs(rows[:, 1:]).max()), 0.0):
         raise InputError(f"{path} must hold positions, got zeros only: is it the *_GT file of smartLoc?")
     return GroundTruth(rows[:, 0], rows[:, 1:])

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.recorded.series import UNTIMED, Timing, in_order
 from lanebound.integrity.recorded.source import Lines, Stop, finite_number
+from lanebound.integrity.recorded.time_scales import WEEK_S
 
 __all__ = ["SmartLocRaw", "read_smartloc_raw"]
 
@@ -73,6 +75,7 @@ class SmartLocRaw:
     system: NDArray[np.str_]
     reflected: Ints
     stopped: Stop | None
+    timing: Timing = UNTIMED
 
 
 def read_smartloc_raw(path: str | Path) -> SmartLocRaw:
@@ -108,10 +111,12 @@ def read_smartloc_raw(path: str | Path) -> SmartLocRaw:
     if not system:
         raise InputError(f"{path} must hold at least one signal, got none: {refusal or 'is it a smartLoc *_raw.csv?'}")
     tables: dict[str, Any] = {name: np.array(column) for name, column in values.items()}
+    keep, timing = in_order(path, WEEK_S * tables["week"] + tables["tow_s"], repeated=True)
+    tables = {name: column[keep] for name, column in tables.items()}
     whole = {name: tables.pop(name).astype(np.int64) for name in ("week", "satellite", "slot")}
     return SmartLocRaw(
-        **tables, **whole, system=np.array(system, dtype="U1"), reflected=np.array(label, dtype=np.int64),
-        stopped=stop or lines.stop,
+        **tables, **whole, system=np.array(system, dtype="U1")[keep], reflected=np.array(label, dtype=np.int64)[keep],
+        stopped=stop or lines.stop, timing=timing,
     )  # fmt: skip
 
 

@@ -9,15 +9,14 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, cast
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.packed import open_unpacked
 
 __all__ = ["MAX_BYTES", "Lines", "Stop", "finite_number", "whole_number"]
 
 MAX_BYTES = 256 * 2**20  # of uncompressed text; its arrays and the temporary lists need less than 1 GiB
 MAX_LINE = 65_536  # bytes; the longest line of the formats has some thousands
-GZIP_MAGIC = b"\x1f\x8b"
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Lines:
     Raises
     ------
     InputError
-        The file cannot be opened, or holds more than ``max_bytes``.
+        The file cannot be opened, is packed in another form, or holds more than ``max_bytes``.
     """
 
     def __init__(self, path: str | Path, max_bytes: int = MAX_BYTES) -> None:
@@ -53,7 +52,7 @@ class Lines:
     def __iter__(self) -> Iterator[str]:
         """Iterate over the lines; ``number`` is the number of the latest line, ``read`` the bytes up to its end."""
         try:
-            with self._open() as stream:
+            with open_unpacked(self.path) as stream:
                 while raw := stream.readline(MAX_LINE):
                     self.number += 1
                     self.read += len(raw)
@@ -74,11 +73,6 @@ class Lines:
             raise InputError(
                 f"{self.path} must be a readable file, got {error.strerror or error}: correct the path"
             ) from error
-
-    def _open(self) -> IO[bytes]:
-        with self.path.open("rb") as plain:
-            magic = plain.read(2)
-        return cast(IO[bytes], gzip.open(self.path, "rb") if magic == GZIP_MAGIC else self.path.open("rb"))
 
     def where(self) -> str:
         """File and line, for the start of messages."""

@@ -39,7 +39,7 @@ from lanebound.integrity.replay.rtk_stages import RtkStages
 from lanebound.integrity.replay.signal_choice import Choice, choose_signals
 from lanebound.integrity.sky.broadcast import Ephemerides
 
-__all__ = ["Baseline", "BaselineConfig", "base_antenna", "date_text", "on_earth", "solve_baseline"]
+__all__ = ["Baseline", "BaselineConfig", "base_antenna", "date_text", "on_earth", "require_one_site", "solve_baseline"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -188,6 +188,7 @@ def base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
         There is none, or it is not on Earth.
     """
     place = base.header.antenna_ecef_m if given_ecef_m is None else given_ecef_m
+    require_one_site(base, given_ecef_m is not None)
     if place is None:
         raise InputError(
             "the position of the base must be known, its header has no APPROX POSITION XYZ: pass it with "
@@ -201,6 +202,15 @@ def base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
             "--base-position (base_ecef_m) or the header"
         )
     return place
+
+
+def require_one_site(base: Observations, given: bool) -> None:
+    """Raise InputError where the file of a base says that its antenna moved; a new approximate position does not matter
+    where its position is given."""
+    moves = [move for move in base.moves if not (given and move.approximate)]
+    if moves:
+        remedy = ", or give --base-position (base_ecef_m) if it did not move" if moves[0].approximate else ""
+        raise InputError(f"the base must stand at one place, {moves[0]}: cut the file there{remedy}")
 
 
 def _require_messages(rover: Observations, arcs: list[Arc], table: Ephemerides) -> None:

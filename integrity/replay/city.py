@@ -96,9 +96,12 @@ class CodeReplay:
     reweighted: Array
 
     def record(
-        self, drive: SmartLoc, alerts: AlertConfig, after_s: float = -math.inf, before_s: float = math.inf
-    ) -> Record:
+        self, drive: SmartLoc, alerts: AlertConfig, after_s: float = -math.inf, before_s: float = math.inf,
+        window_s: float = 0.0,
+    ) -> Record:  # fmt: skip
         """Record of estimate and truth for epochs in [after, before) with a position; errors in the estimated track.
+
+        Epochs in a gap of wheels and gyro, or up to ``window_s`` after it, are left out.
 
         Raises
         ------
@@ -108,6 +111,7 @@ class CodeReplay:
         if drive.truth is None:
             raise InputError("drive must have a ground truth to be assessed, has none: give its *_GT file")
         true, known = drive.truth.at(self.time_s)
+        known &= ~drive.bridged(self.time_s, window_s)  # a window with a gap has a path that was not measured
         keep = known & (self.mode != Mode.NONE) & (self.time_s >= after_s) & (self.time_s < before_s)
         if not keep.any():
             raise InputError(f"[{after_s}, {before_s}) must hold epochs with position and truth, has none: widen it")

@@ -23,6 +23,7 @@ from lanebound.integrity.positioning.danish import DanishConfig
 from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
 from lanebound.integrity.replay.city import CodeReplay, CodeReplayConfig, drive_city
 from lanebound.integrity.replay.overbound import CodeErrors
+from lanebound.integrity.replay.recording_checks import check_smartloc
 from lanebound.integrity.replay.training import train
 
 __all__ = ["CityReplay", "CityResult", "find_smartloc", "read_city", "replay_city", "write_city"]
@@ -65,13 +66,15 @@ class CityResult:
         """Record of a solution in a part; None if the part has no epoch."""
         after, before = self.parts()[part]
         try:
-            return self.solutions[name].record(self.drive, self.config.alerts, after, before)
+            return self.solutions[name].record(
+                self.drive, self.config.alerts, after, before, self.config.solution.window_s
+            )
         except InputError:
             return None
 
     def summary(self) -> dict[str, Any]:
         """Statistics as JSON data."""
-        limits = self.config.alerts.limits
+        limits, best = self.config.alerts.limits, self.solutions["overbound"]
         parts = {}
         for name, solution in self.solutions.items():
             parts[name] = {
@@ -89,6 +92,8 @@ class CityResult:
                     figures = assess(record, limits.al_at_m, limits.al_ct_m)
                     parts[name][part] = {**_bounds(record), **figures}
         return {
+            "agreement": {name: found.figures() for name, found in check_smartloc(self.drive).items()},
+            "left_out_at_gaps": int(self.drive.bridged(best.time_s, self.config.solution.window_s).sum()),
             "risk": self.config.solution.risk.integrity_risk, "trained_until_s": self.until_s, "caution": CAUTION,
             "bounds": {key: np.round(value, 3).tolist() for key, value in asdict(self.errors).items()},
             "solutions": parts,
@@ -140,17 +145,19 @@ def find_smartloc(folder: Path) -> tuple[Path, Path | None] | None:
 
 
 def read_city(folder: Path) -> SmartLoc:
-    """Read the smartLoc drive of a folder with its truth.
+    """Read the smartLoc drive of a folder with its truth, against which wheels and gyro are checked.
 
     Raises
     ------
     InputError
-        The folder does not contain both files.
+        The folder does not contain both files, or a sensor contradicts the truth.
     """
     found = find_smartloc(folder)
     if found is None or found[1] is None:
         raise InputError(f"{folder} must hold *_Input.txt(.gz) and *_GT.txt of smartLoc: give another folder")
-    return read_smartloc(*found)
+    drive = read_smartloc(*found)
+    check_smartloc(drive)
+    return drive
 
 
 def write_city(
@@ -167,7 +174,7 @@ def write_city(
     """
     drive = read_city(folder)
     result = replay_city(drive, config, progress)
-    summary = {"dataset": "smartloc", "stopped": drive.stopped and str(drive.stopped), **result.summary()}
+    summary = {"dataset": "smartloc", "stopped": drive.notes, **result.summary()}
     out.mkdir(parents=True, exist_ok=True)
     written = [out / "replay.json"]
     written[0].write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")

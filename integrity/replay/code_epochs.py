@@ -81,6 +81,7 @@ def recorded_epochs(drive: SmartLoc, cn0_min_dbhz: float = LEAST_DBHZ) -> Tracke
     truth, known = np.zeros((time.size, 3)), np.zeros(time.size, bool)
     if drive.truth is not None:
         ecef, known = drive.truth.at(time)
+        known &= ~drive.bridged(time, WINDOW_S)  # the heading would be that of a path that was not measured
         truth = frame.local(ecef)
     return TrackedEpochs(
         CodeEpochs(**{**vars(epochs), "step_enu_m": step, "step_sigma_m": sigma}).checked(),

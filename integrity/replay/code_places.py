@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.positioning.code_solution import gauss_newton
 from lanebound.integrity.recorded.rinex_observation import Observations
+from lanebound.integrity.recorded.time_scales import BDT_BEHIND_GPS_S, WEEK_S, leap_seconds
 from lanebound.integrity.replay.differences import Arc, arc_of, troposphere_m
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.signal_choice import Choice
@@ -15,13 +20,15 @@ from lanebound.integrity.sky.broadcast import Ephemerides
 from lanebound.integrity.sky.klobuchar import Klobuchar
 from lanebound.integrity.sky.systems import WAVELENGTH_M, System
 
-__all__ = ["MOVES_M", "NEAR_M", "WRONG_M", "CodePlaces"]
+__all__ = ["MOVES_M", "NEAR_M", "WRONG_M", "CodePlaces", "require_gps_time"]
 
 Array = NDArray[np.float64]
 
 MOVES_M = 15.0  # spread of code positions, 90 % of them, of a receiver that moves; noise is a few metres
 NEAR_M = 30.0  # of a receiver from its codes; further is doubtful: codes with models of the air are good to about 10 m
 WRONG_M = 100.0  # what codes cannot be wrong by
+MISFIT_M = 100.0  # deviation of codes that no position explains; 1 s of time is up to 800 m
+GLONASS_AHEAD_S = 10_800.0  # of UTC
 SAMPLES = 40  # epochs of which positions are computed
 FEWEST = 6  # satellites
 LOWEST_RAD = np.deg2rad(10.0)
@@ -40,6 +47,7 @@ class CodePlaces:
         self._dispersion = (wavelength / WAVELENGTH_M[System.GPS, 0]) ** 2
         self._system, self._ionosphere = table.satellites[:, 0], ionosphere
         epochs = np.unique(np.linspace(0, observations.epochs - 1, SAMPLES).astype(int))
+        self._misfits_m: list[float] = []
         found = [self._place(arc, int(k), float(observations.tow_s[k])) for k in epochs]
         self.places_m = np.array([place for place in found if place is not None]).reshape(-1, 3)
 
@@ -49,6 +57,11 @@ class CodePlaces:
         if not len(self.places_m):
             return 0.0
         return float(np.quantile(np.linalg.norm(self.places_m - np.median(self.places_m, axis=0), axis=1), 0.9))
+
+    @property
+    def misfit_m(self) -> float | None:
+        """Deviation of codes from those of their positions [m], median; None where no epoch has one code too many."""
+        return float(np.median(self._misfits_m)) if self._misfits_m else None
 
     @property
     def moves(self) -> bool:
@@ -70,9 +83,11 @@ class CodePlaces:
             solved = _least_squares(arc, k, rows, delay, place, group)
             if solved is None:
                 return None
-            place = solved
+            place, misfit = solved
             low, delay = self._delays(arc, k, rows, place, tow_s)
             rows, delay = rows[~low], delay[~low]
+        if misfit is not None:
+            self._misfits_m.append(misfit)
         return place
 
     def _delays(
@@ -91,10 +106,46 @@ class CodePlaces:
         return elevation < LOWEST_RAD, delay
 
 
+def require_gps_time(
+    name: str, observations: Observations, codes: dict[str, tuple[str, ...]], choice: Choice, table: Ephemerides,
+    ionosphere: Klobuchar | None = None,
+) -> CodePlaces:  # fmt: skip
+    """Positions of a receiver from its codes, which must fit its times as GPS time.
+
+    Raises
+    ------
+    InputError
+        They fit no position, but do with times in another scale; the message names the scale.
+    """
+    own = CodePlaces(observations, codes, choice, table, ionosphere)
+    if own.misfit_m is not None and own.misfit_m <= MISFIT_M:
+        return own
+    found = "give no position" if own.misfit_m is None else f"deviate by {own.misfit_m:,.0f} m from any position"
+    leap_s = float(leap_seconds(np.array(observations.week[0] * WEEK_S + observations.tow_s[0])))
+    for scale, behind_s in (
+        ("BDT without its label; write BDT into columns 49 to 51 of TIME OF FIRST OBS", BDT_BEHIND_GPS_S),
+        ("UTC; convert the file to GPS time", leap_s),
+        ("GLONASS time; convert the file to GPS time", leap_s - GLONASS_AHEAD_S),
+        ("GPS time with the label BDT; correct TIME OF FIRST OBS", -BDT_BEHIND_GPS_S),
+        ("GPS time with leap seconds added twice; convert the file to GPS time", -leap_s),
+    ):
+        tow_s = observations.tow_s + behind_s
+        over = np.floor_divide(tow_s, WEEK_S)
+        moved = replace(observations, week=observations.week + over.astype(np.int64), tow_s=tow_s - WEEK_S * over)
+        misfit = CodePlaces(moved, codes, choice, table, ionosphere).misfit_m
+        if misfit is not None and misfit <= MISFIT_M:
+            raise InputError(
+                f"times of the {name} must be GPS time, its codes {found}, and "
+                f"deviate by {misfit:.0f} m with times {behind_s:+g} s later: they are probably {scale}"
+            )
+    return own
+
+
 def _least_squares(
     arc: Arc, k: int, rows: NDArray[np.int64], delay: Array, start: Array, group: NDArray[np.int64]
-) -> Array | None:
-    """Position (3,) of these satellites, with a clock for each group; None where it is not solvable."""
+) -> tuple[Array, float | None] | None:
+    """Position (3,) of these satellites, with a clock for each group, and the deviation of their codes [m], None for
+    as many codes as unknowns; None where it is not solvable."""
     observed = arc.code_m[k, rows, 0] + arc.clock_m[k, rows] - delay
 
     def about(place: Array) -> tuple[Array, Array]:
@@ -102,4 +153,8 @@ def _least_squares(
         return observed - distance, sight
 
     found, fit = gauss_newton(about, start[None], 1.0, np.ones((1, rows.size), bool), group)
-    return found[0] if fit.solved[0] else None
+    if not fit.solved[0]:
+        return None
+    left, spare = np.ravel(about(found)[0]), rows.size - 3 - int(group.max()) - 1
+    left = left - (np.bincount(group, left) / np.bincount(group))[group]
+    return found[0], math.sqrt(float(left @ left) / spare) if spare > 0 else None

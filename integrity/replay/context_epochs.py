@@ -26,6 +26,7 @@ from lanebound.integrity.recorded.comma import Comma, read_comma
 from lanebound.integrity.recorded.smartloc import Odometry
 from lanebound.integrity.replay.code_epochs import reckoned_steps
 from lanebound.integrity.replay.doppler_rates import carrier_rates
+from lanebound.integrity.replay.recording_checks import check_comma
 from lanebound.integrity.replay.service_epochs import ServiceEpochs
 from lanebound.integrity.replay.service_report import read_service_epochs
 from lanebound.integrity.replay.window import LocalFrame
@@ -98,7 +99,9 @@ def read_context_epochs(folder: Path, kind: str, config: ContextReplayConfig) ->
         The recording cannot be read, or has no positions.
     """
     if kind == "comma2k19":
-        return _of_receiver(read_comma(folder), config), {}
+        segment = read_comma(folder)
+        check_comma(segment)
+        return _of_receiver(segment, config), segment.notes
     epochs, _, stopped = read_service_epochs(folder, kind, ["spp"])
     return _of_codes(epochs, config), stopped or {}
 
@@ -211,5 +214,5 @@ def _of_receiver(segment: Comma, config: ContextReplayConfig) -> ContextEpochs:
         position=PositionTest(none, np.zeros(at.size), none, there, there),
         skipped={"position": NO_GEOMETRY}, notes=("SDOP is that of a declared error of the receiver's speed",),
         truth_en_m=np.stack([np.interp(time, r.time_s, truth[:, k]) for k in range(2)], -1),
-        known=(time >= r.time_s[0] - FRESH_S) & (time <= r.time_s[-1] + FRESH_S),
+        known=(time >= r.time_s[0] - FRESH_S) & (time <= r.time_s[-1] + FRESH_S) & ~segment.bridged(time),
     )  # fmt: skip

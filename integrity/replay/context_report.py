@@ -54,10 +54,14 @@ def write_context(
     """
     config, lines = ContextReplayConfig.build(None, changes), read_roads(roads)
     epochs, stopped = read_context_epochs(folder, kind, config)
+    stopped |= (
+        {roads.name: f"{lines.malformed} malformed ways left out, the first: {lines.first}"} if lines.first else {}
+    )
     drive = drive_context(epochs, lines, config, progress)
     summary = {
         "dataset": "context", "recording": kind, "stopped": stopped or None, **summarise_context(drive),
-        "left_out": {"features that are no lines": lines.others, "ways without cars": lines.without_cars},
+        "left_out": {"features that are no lines": lines.others, "ways without cars": lines.without_cars,
+                     "malformed ways": lines.malformed, "speed limits, taken as 50 km/h": lines.limits},
     }  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
     written = [out / name for name in ("context.json", "context.csv", "warnings.csv")]

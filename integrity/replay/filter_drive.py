@@ -41,6 +41,7 @@ __all__ = ["FilterDrive", "FilterReplayConfig", "SensorDrive", "comma_sensors", 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 WIDEST_RAD = np.deg2rad(10.0)  # deviation of a path's heading that begins a filter
+AFTER_GAP_S = 10.0  # after a gap of the sensors errors are not judged
 FRESH_S = 0.15  # age of a receiver's position that counts for an epoch; they come at 10 Hz
 
 
@@ -157,7 +158,8 @@ def comma_sensors(segment: Comma, config: FilterReplayConfig, dt_s: float = 0.1)
         at - start, dt_s, turn, segment.speed.at(at),
         _receiver_fix(config, place[newest] + age[:, None] * velocity[newest], velocity[newest], age <= FRESH_S),
         np.zeros(at.size), np.full(at.size, np.inf),
-        np.stack([np.interp(at, r.time_s, truth[:, k]) for k in range(2)], -1), np.ones(at.size, np.bool_),
+        np.stack([np.interp(at, r.time_s, truth[:, k]) for k in range(2)], -1),
+        ~segment.bridged(at, dt_s, AFTER_GAP_S),
         ("positions and velocities of the receiver", "yaw gyro", "speed of the wheels"),
         ("codes with ephemerides, so positions have no geometry and no test of residuals",
          "wheel angle: that of the hand wheel is recorded, its ratio is not", "compass",

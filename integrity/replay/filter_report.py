@@ -27,6 +27,7 @@ from lanebound.integrity.replay.filter_drive import (
     drive_filter,
     smartloc_sensors,
 )
+from lanebound.integrity.replay.recording_checks import check_comma, check_smartloc
 
 __all__ = ["filter_summary", "write_filter"]
 
@@ -51,11 +52,16 @@ def write_filter(
     named = {"navigator": NavigatorConfig.data_of(navigator)}
     config = FilterReplayConfig.build(None, deep_merge(named, dict(changes)))
     if kind == "smartloc":
-        sensors = smartloc_sensors(read_city(folder), config)
+        city = read_city(folder)
+        sensors, notes, agreement = smartloc_sensors(city, config), city.notes, check_smartloc(city)
     else:
-        sensors = comma_sensors(read_comma(folder), config)
+        segment = read_comma(folder)
+        agreement = check_comma(segment)
+        sensors, notes = comma_sensors(segment, config), segment.notes
     drive = drive_filter(sensors, config)
-    found = {"dataset": "filter", "recording": kind, "navigator": navigator, **filter_summary(drive, config)}
+    found = {"dataset": "filter", "recording": kind, "navigator": navigator, "stopped": notes}
+    found["agreement"] = {name: of.figures() for name, of in agreement.items()}
+    found |= filter_summary(drive, config)
     out.mkdir(parents=True, exist_ok=True)
     summary = out / "replay.json"
     summary.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")

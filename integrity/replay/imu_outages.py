@@ -14,7 +14,8 @@ outage, less the acceleration of the solution there: slope and bias of the accel
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +24,24 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
 from lanebound.integrity.monitoring.risk import RiskConfig
-from lanebound.integrity.recorded.imu_log import G_MPS2, ImuLog, SolutionTrack, levelled
+from lanebound.integrity.recorded.imu_log import G_MPS2, ImuLog, levelled
+from lanebound.integrity.recorded.rtklib import RtkSolution
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.outages import OutageErrors, averaged
 from lanebound.integrity.replay.reckoning import reckon, turned
+from lanebound.integrity.replay.sensor_checks import (
+    ACCELERATION,
+    CLEARLY,
+    LAG_S,
+    LEAST_CORRELATION,
+    PITCH_RATE,
+    SPEED,
+    YAW_RATE,
+    Agreement,
+    correlation,
+    require_agreement,
+    require_lag,
+)
 
 __all__ = ["ImuOutageConfig", "InertialMotion", "motion_of_log", "run_inertial_outages"]
 
@@ -40,6 +55,9 @@ OLD_MPS, OLD_SHARE = 1.0, 0.2  # a velocity that differs more from the change of
 LONGEST_GAP_S = 0.6  # between epochs of the solution
 WORST_QUALITY = 2  # of RTKLIB: 1 fixed, 2 float
 LEAST_COHERENCE = 0.7
+MIRRORS = ([-1.0, 1.0, 1.0], [1.0, -1.0, 1.0])  # that of the third axis shows in the yaw rate
+MIRRORED = 0.05  # by how much coherence must be better with a mirrored axis
+SLOPE_S = 2.0  # over which changes of the slope of the road are compared with the pitch gyro
 
 
 class ImuOutageConfig(Config):
@@ -70,7 +88,7 @@ class ImuOutageConfig(Config):
 class InertialMotion:
     """Epochs (T,): time from the start [s], reference position (T, 2) E, N [m], track [rad] and speed [m/s]; forward
     specific force [m/s^2], pitch by the gyro [rad], yaw rate, positive to the right [rad/s]; whether the solution is
-    usable; ``first`` is the epoch after the calibration."""
+    usable; ``first`` is the epoch after the calibration; ``bridged`` are the epochs at a gap of the log."""
 
     time_s: Array
     position_m: Array
@@ -81,22 +99,24 @@ class InertialMotion:
     yaw_rate_radps: Array
     known: Bools
     first: int
+    bridged: Bools
 
 
-def motion_of_log(
-    log: ImuLog, track: SolutionTrack, config: ImuOutageConfig
-) -> tuple[InertialMotion, dict[str, float]]:
+def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> tuple[InertialMotion, dict[str, Any]]:
     """Resample log and solution to common times, and find lag, azimuth and biases of the sensor.
 
     Raises
     ------
     InputError
         The log does not begin at rest, the two files share too little time, or the first ``calibration_s`` of driving
-        have too few accelerations to find the azimuth.
+        have too few accelerations to find the azimuth, or a sensor contradicts the solution: unit, sign, axis or clock.
     """
+    if track.velocity_neu_mps is None:
+        raise InputError(
+            "the solution must have velocities in all rows, has none in some: set out-outvel of RTKLIB to on"
+        )
     level, roll, pitch = levelled(log, config.rest_s)
-    rest = log.gps_time_s < log.gps_time_s[0] + config.rest_s
-    rates = level.rate_radps - level.rate_radps[rest].mean(0)
+    rates = _rates(log, config)
     start, end = max(log.gps_time_s[0], track.gps_time_s[0]), min(log.gps_time_s[-1], track.gps_time_s[-1])
     margin = float(LAGS_S[-1])
     at = np.arange(start + margin, end - margin, 1.0 / config.rate_hz)
@@ -106,45 +126,100 @@ def motion_of_log(
             f"{max(end - start, 0.0):.1f} s: are they of one drive, and both in GPS time?"
         )
     place, speed, heading, known = _reference(track, at)
+    bridged = log.timing.bridged(at, LAG_S + 1.0 / config.rate_hz, LAG_S + 1.0 / config.rate_hz)
+    first = _calibrated_from(speed, known & ~bridged, config)
+    part = np.flatnonzero(known[:first] & ~bridged[:first] & (speed[:first] > MOVING_MPS))
+    seconds = part.size / config.rate_hz
+    turning, ahead = np.gradient(heading, at), np.gradient(speed, at)
+
+    def sensed(value: Array, lag: float) -> Array:
+        within = np.clip(at + lag, log.gps_time_s[0], log.gps_time_s[-1])
+        return averaged(log.gps_time_s, value, within, config.rate_hz)
+
+    late, alike = require_lag("the log", turning[part], lambda lag: sensed(rates[:, 2], lag)[part], YAW_RATE)
+    turns = replace(require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds), lag_s=late)
     moved = float(speed[at < log.gps_time_s[0] + config.rest_s].max(initial=0.0))
     if moved > REST_MPS:
         raise InputError(
             f"the log must begin with {config.rest_s:g} s at rest, moves at {moved:.1f} m/s: give another rest_s"
         )
-    first = _calibrated_from(speed, known, config)
-    part = np.flatnonzero(known[:first] & (speed[:first] > MOVING_MPS))
-    turning, ahead = np.gradient(heading, at), np.gradient(speed, at)
-
-    def sensed(value: Array, lag: float) -> Array:
-        return averaged(log.gps_time_s, value, at + lag, config.rate_hz)
-
     off = [float(np.std(sensed(rates[:, 2], lag)[part] - turning[part])) for lag in LAGS_S]
     lag = float(LAGS_S[int(np.argmin(off))])
+    if lag in LAGS_S[[0, -1]]:  # the minimum lies beyond, or nowhere
+        raise InputError(
+            f"turns must show the lag of the log within {LAGS_S[-1]:g} s, its edge fits best: give a longer "
+            "calibration_s, with turns, or correct the times"
+        )
     yaw = sensed(rates[:, 2], lag)
     bias = float((yaw[part] - turning[part]).mean())
     force = np.stack([sensed(level.force_mps2[:, k], lag) for k in range(2)], -1)
-    azimuth, coherence = _azimuth(force[part], np.stack([ahead[part], speed[part] * turning[part]], -1))
-    if coherence < LEAST_COHERENCE:
-        raise InputError(
-            f"accelerations must show how the sensor is mounted: their correlation with the solution is "
-            f"{coherence:.2f}, at least {LEAST_COHERENCE}: give a longer calibration_s, with turns and braking"
-        )
+    wanted = np.stack([ahead[part], speed[part] * turning[part]], -1)
+    azimuth, coherence = _mount(force[part], wanted)
     c, s = math.cos(azimuth), math.sin(azimuth)
     forward = c * force[:, 0] + s * force[:, 1]
-    nodding = c * sensed(rates[:, 1], lag) - s * sensed(rates[:, 0], lag)
-    pitched = np.concatenate([[0.0], np.cumsum(0.5 * (nodding[1:] + nodding[:-1]) * np.diff(at))])
-    motion = InertialMotion(at - at[0], place, heading, speed, forward, pitched, yaw - bias, known, first)
+    pitched, *mirrored = (
+        _integral(at, c * sensed(turned_by[:, 1], lag) - s * sensed(turned_by[:, 0], lag))
+        for turned_by in (rates, *(_rates(replace(log, rate_radps=log.rate_radps * of), config) for of in MIRRORS))
+    )
+    pushes = require_agreement(ACCELERATION, "g", "the log", ahead[part], forward[part], seconds)
+    climbs = _slopes_agree(track, at, speed, [pitched, *mirrored], part, config)
+    motion = InertialMotion(at - at[0], place, heading, speed, forward, pitched, yaw - bias, known, first, bridged)
+    agreements = {"yaw rate": turns, "forward acceleration": pushes, "pitch rate": climbs}
     return motion, {
         "roll_deg": math.degrees(roll), "pitch_deg": math.degrees(pitch), "azimuth_deg": math.degrees(-azimuth),
         "coherence": coherence, "lag_s": lag, "yaw_bias_degps": math.degrees(bias), "from_s": float(at[first] - at[0]),
+        "agreement": {name: found.figures() for name, found in agreements.items()},
     }  # fmt: skip
 
 
-def _reference(track: SolutionTrack, at: Array) -> tuple[Array, Array, Array, Bools]:
+def _rates(log: ImuLog, config: ImuOutageConfig) -> Array:
+    """Rates (N, 3) of the levelled log less their means at rest [rad/s]."""
+    rates, rest = levelled(log, config.rest_s)[0].rate_radps, log.gps_time_s < log.gps_time_s[0] + config.rest_s
+    return np.asarray(rates - rates[rest].mean(0))
+
+
+def _integral(time_s: Array, rate: Array) -> Array:
+    """Integral from the first time on by trapezoids.  (T,)."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time_s))])
+
+
+def _slopes_agree(
+    track: RtkSolution, at: Array, speed: Array, pitches: list[Array], part: NDArray[np.int64],
+    config: ImuOutageConfig,
+) -> Agreement:  # fmt: skip
+    """Agreement of the pitch by the gyro with the slope by the velocities, as changes over SLOPE_S in rad/s.
+
+    ``pitches`` are those with the axes of the log, and with one of them mirrored.
+
+    Raises
+    ------
+    InputError
+        A mirrored one fits better, or the first has another unit or sign.
+    """
+    assert track.velocity_neu_mps is not None
+    slope = np.arctan2(np.interp(at, track.gps_time_s, track.velocity_neu_mps[:, 2]), np.maximum(speed, MOVING_MPS))
+    step = max(round(SLOPE_S * config.rate_hz), 1)
+    k = part[(part + step < at.size) & np.isin(part + step, part)]
+    by_solution, by_gyro, *others = ((values[k + step] - values[k]) / SLOPE_S for values in (slope, *pitches))
+    given, better = correlation(by_solution, by_gyro), max(correlation(by_solution, other) for other in others)
+    if better > max(given + CLEARLY, LEAST_CORRELATION):
+        raise InputError(_mirrored_text("gyro or the accelerometer", given, better))
+    return require_agreement(PITCH_RATE, "deg/s", "the log", by_solution, by_gyro, k.size / config.rate_hz)
+
+
+def _mirrored_text(sensor: str, given: float, better: float) -> str:
+    return (
+        f"axes of the log must be forward, left, up or turned from there, with one axis of the {sensor} mirrored its "
+        f"correlation with the solution rises from {given:.2f} to {better:.2f}: change the sign of one column"
+    )
+
+
+def _reference(track: RtkSolution, at: Array) -> tuple[Array, Array, Array, Bools]:
     """Position (T, 2), speed, track and whether they are usable (T,), at times; the track holds while at rest."""
     latitude, longitude, _ = geodetic_from_ecef(track.position_ecef_m[0])
     enu = (track.position_ecef_m - track.position_ecef_m[0]) @ ecef_from_enu_matrix(latitude, longitude)
     place = np.stack([np.interp(at, track.gps_time_s, enu[:, k]) for k in range(2)], -1)
+    assert track.velocity_neu_mps is not None
     north, east = (np.interp(at, track.gps_time_s, track.velocity_neu_mps[:, k]) for k in range(2))
     speed = np.hypot(east, north)
     moving = speed > MOVING_MPS
@@ -157,12 +232,24 @@ def _reference(track: SolutionTrack, at: Array) -> tuple[Array, Array, Array, Bo
     return place, speed, heading, near & usable[behind] & usable[behind + 1]
 
 
-def _old(track: SolutionTrack, enu: Array) -> Bools:
-    """Epochs whose velocity is not theirs: it contradicts the change of position to the epochs beside it."""
-    if track.gps_time_s.size < 3:
-        return np.zeros(track.gps_time_s.size, dtype=np.bool_)
-    moved = np.gradient(enu[:, :2], track.gps_time_s, axis=0)
+def _old(track: RtkSolution, enu: Array) -> Bools:
+    """Epochs whose velocity is not theirs: it contradicts the change of position to the epochs beside it.
+
+    Raises
+    ------
+    InputError
+        Most do, by a factor, a sign or an axis.
+    """
+    assert track.velocity_neu_mps is not None
+    time = track.gps_time_s
+    if time.size < 3:
+        return np.zeros(time.size, dtype=np.bool_)
+    moved = np.gradient(enu[:, :2], time, axis=0)
     reported = track.velocity_neu_mps[:, [1, 0]]
+    near = np.flatnonzero(
+        (np.diff(time, prepend=time[0]) <= LONGEST_GAP_S) & (np.diff(time, append=time[-1]) <= LONGEST_GAP_S)
+    )
+    require_agreement(SPEED, "m/s", "the solution's velocities", moved[near].ravel(), reported[near].ravel(), near.size)
     off = np.linalg.norm(moved - reported, axis=-1)
     return np.asarray(off > OLD_MPS + OLD_SHARE * np.linalg.norm(moved, axis=-1))
 
@@ -176,6 +263,26 @@ def _calibrated_from(speed: Array, known: Bools, config: ImuOutageConfig) -> int
             "lower calibration_s"
         )
     return int(np.argmax(driven >= config.calibration_s))
+
+
+def _mount(force: Array, reference: Array) -> tuple[float, float]:
+    """Azimuth of the sensor and the correlation of its accelerations, as :func:`_azimuth`.
+
+    Raises
+    ------
+    InputError
+        The accelerations do not show it, or do with one axis mirrored.
+    """
+    azimuth, coherence = _azimuth(force, reference)
+    mirrored = _azimuth(force * [1.0, -1.0], reference)[1]
+    if mirrored > max(coherence + MIRRORED, LEAST_COHERENCE):
+        raise InputError(_mirrored_text("accelerometer", coherence, mirrored))
+    if coherence < LEAST_COHERENCE:
+        raise InputError(
+            f"accelerations must show how the sensor is mounted: their correlation with the solution is "
+            f"{coherence:.2f}, at least {LEAST_COHERENCE}: give a longer calibration_s, with turns and braking"
+        )
+    return azimuth, coherence
 
 
 def _azimuth(force: Array, reference: Array) -> tuple[float, float]:
@@ -196,14 +303,15 @@ def run_inertial_outages(motion: InertialMotion, config: ImuOutageConfig) -> Out
     """
     n, before = round(config.longest_s * config.rate_hz), round(config.settle_s * config.rate_hz)
     step = max(round(config.every_s * config.rate_hz), 1)
-    starts = np.array([
+    moving = np.array([
         s for s in range(max(motion.first, before), motion.time_s.size - n, step)
         if motion.true_speed_mps[s] > MOVING_MPS and motion.known[s - before : s + n + 1].all()
     ], dtype=np.int64)  # fmt: skip
+    starts = moving[[not motion.bridged[s - before : s + n + 1].any() for s in moving]]
     if not starts.size:
         raise InputError(
             f"after the calibration the drive must have {config.settle_s + config.longest_s:g} s with a usable "
-            "solution (Q 1 or 2, no gaps), has none: lower longest_s or calibration_s"
+            "solution (Q 1 or 2, no gaps) and no gap of the log, has none: lower longest_s or calibration_s"
         )
     estimated, heading, speed = np.zeros((starts.size, n, 2)), np.zeros((starts.size, n)), np.zeros((starts.size, n))
     for i, s in enumerate(starts):
@@ -216,7 +324,8 @@ def run_inertial_outages(motion: InertialMotion, config: ImuOutageConfig) -> Out
     error = (track_from_enu_matrix(heading) @ off[..., None])[..., 0]
     age = np.asarray((np.arange(n) + 1.0) / config.rate_hz, dtype=np.float64)
     levels = _levels(speed, heading, age, config)
-    return OutageErrors(age, error, levels, motion.true_speed_mps[starts], motion.time_s[starts])
+    left_out = moving.size - starts.size
+    return OutageErrors(age, error, levels, motion.true_speed_mps[starts], motion.time_s[starts], left_out)
 
 
 def _speed(motion: InertialMotion, s: int, n: int, before: int) -> Array:

@@ -12,7 +12,9 @@ import numpy as np
 from lanebound.integrity.assessment.bounding import measure_bounding
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.imu_log import read_imu_log, read_solution_track
+from lanebound.integrity.recorded.imu_log import read_imu_log
+from lanebound.integrity.recorded.rtklib import read_rtk_solution
+from lanebound.integrity.recorded.series import notes
 from lanebound.integrity.replay.imu_outages import ImuOutageConfig, motion_of_log, run_inertial_outages
 from lanebound.integrity.replay.outages_report import by_age, drift_figure
 
@@ -43,24 +45,24 @@ def write_imu_outages(
     """
     config = config or ImuOutageConfig()
     tag, solution = _only(imu_files(folder), folder, "*.csv.tag"), _only(_solutions(folder), folder, "*.pos")
-    log, track = read_imu_log(tag.with_suffix("")), read_solution_track(solution)
+    plain, zipped = tag.with_suffix(""), tag.with_suffix(".gz")
+    path = zipped if zipped.is_file() and not plain.is_file() else plain
+    log, track = read_imu_log(path, tag), read_rtk_solution(solution)
     motion, calibration = motion_of_log(log, track, config)
     outages = run_inertial_outages(motion, config)
     ages = (*(age for age in AGES_S if age < config.longest_s), config.longest_s)
     figures = {
-        "dataset": "imu_log", "caution": CAUTION, "files": [tag.with_suffix("").name, solution.name],
-        "risk": config.risk.integrity_risk, "rate_hz": log.rate_hz, "calibration": calibration,
-        "outages": len(outages.start_s),
+        "dataset": "imu_log", "caution": CAUTION, "files": [path.name, solution.name],
+        "risk": config.risk.integrity_risk, "rate_hz": log.rate_hz,
+        "agreement": calibration.pop("agreement"), "calibration": calibration,
+        "outages": len(outages.start_s), "left_out_at_gaps": outages.left_out,
         "speed_mps": [float(v) for v in np.quantile(outages.speed_mps, [0.0, 0.5, 1.0])],
         "by_age": by_age(outages, ages),
         "all_ages": {
             axis: asdict(measure_bounding(outages.error_m[..., q], outages.pl_m[..., q]))
             for q, axis in enumerate(("at", "ct"))
         },
-        "stopped": {
-            path.name: str(stop)
-            for path, stop in ((tag.with_suffix(""), log.stopped), (solution, track.stopped)) if stop is not None
-        },
+        "stopped": notes((path.name, log.stopped, log.timing), (solution.name, track.stopped, track.timing)),
     }  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
     summary = out / "replay.json"

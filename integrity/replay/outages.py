@@ -26,6 +26,7 @@ __all__ = ["Motion", "OutageConfig", "OutageErrors", "averaged", "calibrate", "m
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 AXES_OF_GYRO = 2  # z, down: positive to the right
 SLOWEST_MPS = 0.5  # the direction of a smaller velocity is not defined
@@ -54,7 +55,8 @@ class OutageConfig(Config):
 @dataclass(frozen=True)
 class Motion:
     """Epochs (T,): time from the start [s], reference position (T, 2) E, N [m], track of the rear axle [rad], true
-    speed [m/s]; measured speed [m/s] and yaw rate, positive to the right [rad/s], calibrated."""
+    speed [m/s]; measured speed [m/s] and yaw rate, positive to the right [rad/s], calibrated; epochs at a gap of
+    reference or sensors, None without."""
 
     time_s: Array
     position_m: Array
@@ -62,18 +64,20 @@ class Motion:
     true_speed_mps: Array
     speed_mps: Array
     yaw_rate_radps: Array
+    bridged: Bools | None = None
 
 
 @dataclass(frozen=True)
 class OutageErrors:
     """N outages with M ages (M,) [s]: signed error (N, M, 2) along and across the track [m], level (N, M, 2) [m], speed
-    at the start (N,) [m/s] and start time (N,) [s]."""
+    at the start (N,) [m/s] and start time (N,) [s]; ``left_out`` is the number of those at a gap of a sensor."""
 
     age_s: Array
     error_m: Array
     pl_m: Array
     speed_mps: Array
     start_s: Array
+    left_out: int = 0
 
 
 def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, float]]:
@@ -82,7 +86,7 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
     Raises
     ------
     InputError
-        The segment is too short, or the vehicle is at rest during the calibration.
+        The segment is too short, or the vehicle is at rest during the calibration, which must be without gaps.
     """
     r = segment.reference
     start = max(float(s[0]) for s in (r.time_s, segment.speed.time_s, segment.rotation_rate.time_s))
@@ -104,7 +108,14 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
     # the rear axle moves in the direction of the heading, the reference point at an angle to it
     slip = np.arcsin(np.clip(config.axle_m * rate / np.maximum(speed, SLOWEST_MPS), -1.0, 1.0))
     track = np.unwrap(np.arctan2(moving[:, 0], moving[:, 1])) - slip
-    motion = Motion(time, place, track, speed, segment.speed.at(at), rate)
+    step = 1.0 / config.rate_hz
+    bridged = segment.bridged(at, step, step)
+    if bridged[time < config.calibration_s].any():
+        raise InputError(
+            f"the first {config.calibration_s:g} s must be without gaps, {'; '.join(segment.notes.values())}: lower "
+            "calibration_s, or cut the segment after the gap"
+        )
+    motion = Motion(time, place, track, speed, segment.speed.at(at), rate, bridged)
     return calibrate(motion, config.calibration_s)
 
 
@@ -134,24 +145,41 @@ def calibrate(motion: Motion, seconds: float) -> tuple[Motion, dict[str, float]]
     bias = float(np.trapezoid(motion.yaw_rate_radps[first], motion.time_s[first]) - turned) / span
     calibrated = Motion(
         motion.time_s, motion.position_m, motion.track_rad, motion.true_speed_mps, scale * motion.speed_mps,
-        motion.yaw_rate_radps - bias,
+        motion.yaw_rate_radps - bias, motion.bridged,
     )  # fmt: skip
     return calibrated, {"speed_scale": scale, "gyro_bias_degps": math.degrees(bias)}
 
 
 def run_outages(motion: Motion, config: OutageConfig) -> OutageErrors:
-    """Simulate all outages that start after the calibration and end before the end of the drive."""
+    """Simulate all outages that start after the calibration, end before the end of the drive and touch no gap.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
     n = round(config.longest_s * config.rate_hz)
     first = math.ceil(config.calibration_s * config.rate_hz)
     step = max(round(config.every_s * config.rate_hz), 1)
     starts = np.arange(first, motion.time_s.size - n, step)
+    clear = np.array([_is_clear(motion, s, n) for s in starts.tolist()], dtype=np.bool_)
+    if starts.size and not clear.any():
+        raise InputError(
+            f"the drive must have {config.longest_s:g} s without gaps after its calibration, has none: lower longest_s"
+        )
+    left_out, starts = int((~clear).sum()), starts[clear]
     given = math.radians(config.heading_error_deg)
     signs = (1.0, -1.0) if given > 0.0 else (0.0,)
     cases = [(int(s), sign * given) for s in starts for sign in signs]
     starts, errors = np.array([s for s, _ in cases]), np.array([e for _, e in cases], dtype=np.float64)
     off, levels = _dead_reckoned(motion, starts, errors, n, config)
     age = np.asarray((np.arange(n) + 1.0) / config.rate_hz, dtype=np.float64)
-    return OutageErrors(age, off, levels, motion.true_speed_mps[starts], motion.time_s[starts])
+    return OutageErrors(age, off, levels, motion.true_speed_mps[starts], motion.time_s[starts], left_out)
+
+
+def _is_clear(motion: Motion, start: int, epochs: int) -> bool:
+    """Whether no gap lies in the epochs after a start."""
+    return motion.bridged is None or not motion.bridged[start : start + epochs + 1].any()
 
 
 def _dead_reckoned(
@@ -191,6 +219,9 @@ def sawtooth(motion: Motion, config: OutageConfig, fixed_s: float = 5.0) -> dict
     at, parts = math.ceil(config.calibration_s * config.rate_hz), []
     fix = np.tile(missed_detection_factors(config.risk)[0] * config.fix_sigma_m, (gap, 1))
     while at + n < motion.time_s.size:
+        if not _is_clear(motion, at - gap + 1, n + gap):
+            at += 1
+            continue
         fixed = np.arange(at - gap + 1, at + 1)
         parts.append((motion.time_s[fixed], np.zeros((gap, 2)), fix, np.ones(gap, np.bool_)))
         error, level = _dead_reckoned(motion, np.array([at]), np.radians([config.heading_error_deg]), n, config)

@@ -14,6 +14,7 @@ from lanebound.integrity.assessment.bounding import measure_bounding
 from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_figure, risk_text, save, tidy
 from lanebound.integrity.recorded.comma import read_comma
 from lanebound.integrity.replay.outages import Motion, OutageConfig, OutageErrors, motion_of, run_outages, sawtooth
+from lanebound.integrity.replay.recording_checks import check_comma
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,11 +79,14 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
     """
     config = config or OutageConfig()
     segment = read_comma(folder)
+    agreement = check_comma(segment)
     motion, calibration = motion_of(segment, config)
     outages = run_outages(motion, config)
     figures = {
         "dataset": "comma2k19", "caution": CAUTION,
-        "risk": config.risk.integrity_risk, "calibration": calibration, "outages": len(outages.start_s),
+        "risk": config.risk.integrity_risk, "calibration": calibration,
+        "agreement": {name: found.figures() for name, found in agreement.items()},
+        "outages": len(outages.start_s), "left_out_at_gaps": outages.left_out, "stopped": segment.notes,
         "speed_mps": [float(v) for v in np.quantile(outages.speed_mps, [0.0, 0.5, 1.0])], "by_age": by_age(outages),
         "all_ages": {axis: asdict(_bounded(outages, q)) for q, axis in enumerate(("at", "ct"))},
         "with_heading_error_of_s1": _against_s1(motion, config),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.baseline import Baseline, date_text
-from lanebound.integrity.replay.code_places import MOVES_M, WRONG_M, CodePlaces
+from lanebound.integrity.replay.code_places import MOVES_M, WRONG_M, CodePlaces, require_gps_time
 from lanebound.integrity.replay.signal_choice import choose_signals
 from lanebound.integrity.sky.broadcast import VALID_FOR_S, Ephemerides
 from lanebound.integrity.sky.klobuchar import Klobuchar
@@ -78,8 +78,9 @@ def check_places(
         A receiver cannot be at its position, or it moves.
     """
     choice = choose_signals(rover, base, 1)
-    own = CodePlaces(base, choice.base, choice, table, ionosphere)
-    theirs = None if rover_m is None else CodePlaces(rover, choice.rover, choice, table, ionosphere)
+    own = require_gps_time("base", base, choice.base, choice, table, ionosphere)
+    at_rover = require_gps_time("rover", rover, choice.rover, choice, table, ionosphere)
+    theirs = None if rover_m is None else at_rover
     remedy = f"{'correct' if source == given.base else 'give'} {given.base}"
     if theirs is not None and rover_m is not None and _is_at(own, rover_m) and _is_at(theirs, base_m):
         remedy = f"{given.rover} fits them, and that of the base the rover's: exchange the two, or rover and base"
@@ -174,7 +175,8 @@ def navigation_notes(files: Mapping[str, Ephemerides], rover: Observations) -> d
         if ((table.toe_s + valid_s >= seen[0]) & (table.toe_s - valid_s <= seen[1])).any():
             continue
         sent = [table.toe_s.min(), table.toe_s.max()] if len(table) else []
-        held = f"its messages are of {' to '.join(map(date_text, sent))} and not used" if sent else "it holds none"
+        others = "; ".join(("it holds none of GPS, Galileo, BeiDou and QZSS", *table.left_out))
+        held = f"its messages are of {' to '.join(map(date_text, sent))} and not used" if sent else others
         notes[name] = f"no message of that time, {' to '.join(map(date_text, seen))}: {held}"
     return notes if len(notes) < len(files) else {}
 

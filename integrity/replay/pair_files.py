@@ -6,10 +6,12 @@ Files are recognized by their first line. Two observation files are told apart b
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.packed import CRINEX_REMEDY
 from lanebound.integrity.recorded.rinex_observation import read_observations
 from lanebound.integrity.recorded.source import Lines
 from lanebound.integrity.replay.code_places import CodePlaces
@@ -18,6 +20,7 @@ from lanebound.integrity.sky.broadcast import Ephemerides, read_navigation
 
 __all__ = ["PairFiles", "find_pair", "navigation_files", "observation_files"]
 
+RINEX_NAME = re.compile(r"\.(\d\d[a-z]|obs|nav|rnx|crx)(\.\w+)?$", re.IGNORECASE)
 NAMES = {"rover": ("rover", "rov", "mobile"), "base": ("base", "ref", "station")}
 
 
@@ -48,7 +51,7 @@ def navigation_files(folder: Path) -> list[Path]:
     InputError
         There is none.
     """
-    found = _of_type(folder, "N")
+    found = _of_type(folder, "NGH")
     if not found:
         raise InputError(
             f"{folder} must hold a RINEX navigation file beside its observations, has none: add one, such as base.nav"
@@ -56,13 +59,20 @@ def navigation_files(folder: Path) -> list[Path]:
     return found
 
 
-def _of_type(folder: Path, kind: str) -> list[Path]:
-    """Files whose first line is that of a RINEX file of a type: O (observations) or N (navigation)."""
+def _of_type(folder: Path, kinds: str) -> list[Path]:
+    """Files whose first line is that of a RINEX file of a type: O (observations), or N, G, H (navigation)."""
     found = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         if path.is_file() and not path.name.startswith("."):
-            first = next(iter(Lines(path)), "")
-            if first[60:80].strip() == "RINEX VERSION / TYPE" and first[20:21].upper() == kind:
+            try:
+                first = next(iter(Lines(path)), "")
+            except InputError:
+                if RINEX_NAME.search(path.name):
+                    raise  # it says how to unpack it; a file of another name is none of ours
+                continue
+            if first[60:80].startswith("CRINEX") and "O" in kinds:
+                raise InputError(f"{path} must be a plain RINEX file: {CRINEX_REMEDY}")
+            if first[60:80].strip() == "RINEX VERSION / TYPE" and first[20:21].upper() in tuple(kinds):
                 found.append(path)
     return found
 

@@ -85,7 +85,7 @@ def code_rows(reduced: Reduced, los: Array, rtk: RtkConfig) -> tuple[Ints, Array
     The mean of the first two signals where enough satellites have both, otherwise the first one: means and single codes
     do not have the same clock.
     """
-    both = reduced.tracked[:, :2].all(-1)
+    both = np.asarray(reduced.tracked[:, :2].all(-1))
     for columns, tracked in ((2, both), (1, np.ascontiguousarray(reduced.tracked[:, 0]))):
         cn0 = -10.0 * np.log10((10.0 ** (-0.1 * reduced.cn0_dbhz[:, :columns])).mean(-1))
         quality, high = _weighed(los, tracked, cn0, rtk), los[:, 2] > np.sin(np.deg2rad(rtk.elevation_mask_deg))

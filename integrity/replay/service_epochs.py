@@ -23,6 +23,7 @@ from lanebound.integrity.positioning.smoothing_kernel import HATCH, smooth
 from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.recorded.smartloc import Odometry, SmartLoc
 from lanebound.integrity.replay.code_epochs import LEAST_DBHZ, recorded_epochs
+from lanebound.integrity.replay.code_places import require_gps_time
 from lanebound.integrity.replay.differences import Arc, arc_of, matched, troposphere_m
 from lanebound.integrity.replay.doppler_rates import doppler_rates
 from lanebound.integrity.replay.sagnac import ranges_and_sights
@@ -147,6 +148,7 @@ def epochs_of_receiver(
         No epoch has enough codes with a message.
     """
     own = _Receiver(rover, table, ionosphere)
+    require_gps_time("receiver", rover, own.codes, own.choice, table, ionosphere)
     near = own.places()
     origin = near[np.isfinite(near).all(-1)][0]
     latitude, longitude, _ = geodetic_from_ecef(origin)
@@ -220,7 +222,8 @@ class _Receiver:
             raise InputError("table must hold messages of GPS, Galileo, BeiDou or QZSS, has none: pass the navigation")
         self.codes = codes = _first_codes(observations)
         wavelength = np.ascontiguousarray(WAVELENGTH_M[:, [0, 1]])
-        self.arc: Arc = arc_of(observations, codes, Choice(codes, codes, wavelength, 1), table)
+        self.choice = Choice(codes, codes, wavelength, 1)
+        self.arc: Arc = arc_of(observations, codes, self.choice, table)
         self.satellites, self.tow_s, self.ionosphere = table.satellites, observations.tow_s, ionosphere
         self.tracked = self.arc.known & (self.arc.code_m[..., 0] != 0.0)
         self.locked = (self.arc.phase_m[..., 0] != 0.0) & ~self.arc.half[..., 0]

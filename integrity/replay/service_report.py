@@ -20,7 +20,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.rinex_observation import read_observations
-from lanebound.integrity.replay.baseline import solve_baseline
+from lanebound.integrity.replay.baseline import require_one_site, solve_baseline
 from lanebound.integrity.replay.baseline_report import read_coordinates
 from lanebound.integrity.replay.city_report import read_city
 from lanebound.integrity.replay.pair_files import find_pair, navigation_files, observation_files
@@ -102,7 +102,7 @@ def read_service_epochs(
     if kind == "smartloc":
         require_possible(names, False, "a smartLoc drive")
         drive = read_city(folder)
-        return epochs_of_drive(drive), SMARTLOC_DT_S, {"input": str(drive.stopped)} if drive.stopped else None
+        return epochs_of_drive(drive), SMARTLOC_DT_S, drive.notes or None
     return _rinex_epochs(folder, names)
 
 
@@ -126,6 +126,7 @@ def _rinex_epochs(folder: Path, names: Sequence[str]) -> tuple[ServiceEpochs, fl
     if base is not None:
         place = base.header.antenna_ecef_m if given["base"] is None else given["base"]
         if place is not None:
+            require_one_site(base, given["base"] is not None)
             station = base, place
     if given["rover"] is not None:
         truth = dict.fromkeys(range(rover.epochs), given["rover"]), "given position of the rover"

@@ -48,6 +48,11 @@ def draw_normals(generator, v, places, table, out):  # type: ignore[no-untyped-d
 @jit
 def draw_uniforms(generator, v, places, out):  # type: ignore[no-untyped-def]
     """The same of uniforms in [0, 1)."""
-    width = out.shape[0] // max(places.shape[1], 1)
-    for w in range(out.shape[0]):
-        out[w] = uniform(generator) if places.shape[0] == 0 or places[v, w // width] else 0.0
+    if places.shape[0] == 0:
+        for w in range(out.shape[0]):
+            out[w] = uniform(generator)
+        return
+    width = out.shape[0] // places.shape[1]
+    for s in range(places.shape[1]):
+        for w in range(width):
+            out[s * width + w] = uniform(generator) if places[v, s] else 0.0

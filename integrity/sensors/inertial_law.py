@@ -10,8 +10,8 @@ settled, error 11.3 mm/s^2), so that the 55 m have another cause or begin at ano
 
 from __future__ import annotations
 
-import csv
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
 from lanebound.integrity.core.errors import InputError, require_finite
+from lanebound.integrity.recorded.series import in_order
+from lanebound.integrity.recorded.source import Lines
 
 __all__ = ["PUBLISHED", "InertialErrorLaw", "InertialFit", "drift_m", "fit_inertial_law", "read_static_log"]
 
 Array = NDArray[np.float64]
 LEAST_ROWS = 10
+LONGEST_STEP_S, LONGEST_LOG_S = 5.0, 1e5  # no log of a sensor is so slow and so long
 LARGEST_MPS2 = 1.0  # mean of a log without gravity; ten times the errors of consumer sensors
 LONGEST, SHORTEST = 2.0, 0.01  # tau over the length of the log: beyond, an exponential is a line or a step
 SIGMAS = 3.0  # C1 and tau must exceed so many of their sigmas
@@ -159,18 +162,19 @@ def drift_m(time_s: Array, acceleration_mps2: Array, after_s: float = 60.0) -> f
     return float(np.sum(0.5 * dt * (speed[1:] + speed[:-1]) + dt**2 * (a[:-1] - a[1:]) / 12.0))
 
 
-def read_static_log(path: Path) -> tuple[Array, dict[str, Array]]:
-    """Times (n,) and the columns of accelerations (n,) by name, of a CSV file with a head and the time first.
+def read_static_log(path: Path) -> tuple[Array, dict[str, Array], str]:
+    """Times (n,) and the columns of accelerations (n,) by name, of a table with a head and the time first, plain or
+    gzip, between commas, semicolons or tabs; and a note on rows that are left out and on gaps, "" for none.
 
     Raises
     ------
     InputError
-        The file is absent, or is no such table.
+        The file is absent, or is no such table in seconds whose times ascend.
     """
     if not path.is_file():
         raise InputError(f"LOG must be a file that exists, got {path}: correct the path")
-    with path.open(newline="") as file:
-        rows = [row for row in csv.reader(file) if row]
+    lines = Lines(path)
+    rows = [[cell.strip() for cell in re.split(r"[,;\t]", text)] for text in lines if text.strip()]
     if len(rows) <= LEAST_ROWS or len(rows[0]) < 2:
         raise InputError(f"{path} must have a head, a time and an acceleration column and {LEAST_ROWS} rows or more, "
                          f"got {len(rows)} rows: write time_s,accel_mps2 and one line for each sample")  # fmt: skip
@@ -178,4 +182,12 @@ def read_static_log(path: Path) -> tuple[Array, dict[str, Array]]:
         table = np.array(rows[1:], dtype=np.float64)
     except ValueError:
         raise InputError(f"{path} must hold numbers below its head, it does not: correct the lines") from None
-    return table[:, 0], {name.strip(): table[:, k] for k, name in enumerate(rows[0]) if k > 0}
+    keep, timing = in_order(path, table[:, 0])
+    table = table[keep]
+    step = float(np.median(np.diff(table[:, 0])))
+    if step > LONGEST_STEP_S and float(np.ptp(table[:, 0])) > LONGEST_LOG_S:
+        raise InputError(
+            f"{path} must have its times in s, they are {step:g} apart: are they in ms or us? Convert them"
+        )
+    note = "; ".join(text for text in (str(lines.stop or ""), timing.note) if text)
+    return table[:, 0], {name: table[:, k] for k, name in enumerate(rows[0]) if k > 0}, note

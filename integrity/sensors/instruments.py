@@ -78,15 +78,15 @@ def observed(m: Measurements) -> tuple[Records, Records]:
     them replaced, are packed.
     """
     g, (given, vehicles) = m.gnss, m.given or (None, None)
-    signals = packed(OBSERVED_SIGNAL, given, {
-        "tracked": g.tracked, "lock_lost": g.lock_lost, "cn0": g.cn0_dbhz, "range_rate": g.range_rate_mps,
-        "code": g.code_m, "phase": g.phase_m, "integer_error": NO_ERROR if g.integer_error is None else g.integer_error,
-    })  # fmt: skip
-    vehicles = packed(OBSERVED_VEHICLE, vehicles, {
-        "age": g.corrections_age_s, "turn": m.imu.delta_theta_rad, "delta_v": m.imu.delta_v_mps,
-        "speed": m.odometer.speed_mps, "distance": m.odometer.distance_m,
-        "next_best": NO_ERROR if g.next_best is None else g.next_best,
-    })  # fmt: skip
+    signals = packed(
+        OBSERVED_SIGNAL, given, tracked=g.tracked, lock_lost=g.lock_lost, cn0=g.cn0_dbhz, range_rate=g.range_rate_mps,
+        code=g.code_m, phase=g.phase_m, integer_error=NO_ERROR if g.integer_error is None else g.integer_error,
+    )  # fmt: skip
+    vehicles = packed(
+        OBSERVED_VEHICLE, vehicles, age=g.corrections_age_s, turn=m.imu.delta_theta_rad, delta_v=m.imu.delta_v_mps,
+        speed=m.odometer.speed_mps, distance=m.odometer.distance_m,
+        next_best=NO_ERROR if g.next_best is None else g.next_best,
+    )  # fmt: skip
     vehicles["sight"] = m.sky.index
     if signals is not given:
         signals["e"] = m.sky.los_enu[m.sky.index]

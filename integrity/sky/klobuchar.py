@@ -67,7 +67,7 @@ def read_klobuchar(navigation: Sequence[str | Path]) -> Klobuchar | None:
             label = line[60:80].strip()
             if label == HEADER_END:
                 break
-            if label == LABEL and line[:4] in ("GPSA", "GPSB"):
+            if label == LABEL and line[:4] in ("GPSA", "GPSB") and line[5:53].strip():
                 found[line[:4]] = _figures(line, path)
         if len(found) == 2:
             return Klobuchar(found["GPSA"], found["GPSB"])

@@ -6,9 +6,7 @@ truncated file gives the messages before the truncation and the place of it. Tex
 
 from __future__ import annotations
 
-import gzip
 import math
-import os
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -19,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.packed import open_unpacked
 from lanebound.integrity.sky.constellation import SECONDS_PER_WEEK
 from lanebound.integrity.sky.ephemeris import Ephemerides
 from lanebound.integrity.sky.rinex2_navigation import as_version_3
@@ -93,12 +92,10 @@ def navigation_text(path: str | Path) -> str:
         The file cannot be read, or is too large.
     """
     try:
-        with open(path, "rb") as plain:
-            zipped = plain.read(2) == b"\x1f\x8b"
-            size = os.fstat(plain.fileno()).st_size
+        size = Path(path).stat().st_size
         raw = b""
         if size <= LARGEST_BYTES:
-            with gzip.open(path, "rb") if zipped else open(path, "rb") as stream:
+            with open_unpacked(Path(path)) as stream:
                 raw = stream.read(LARGEST_BYTES + 1)
     except (OSError, EOFError, zlib.error, ValueError) as exc:
         raise InputError(f"navigation file {path} must be a readable text file, got: {exc}") from exc
@@ -172,7 +169,7 @@ def _after_header(lines: list[str], start: int, source: str) -> int:
     version, kind = first[:9].strip(), first[20:21].upper()
     if not version.startswith(("3.", "4.")) or kind != "N":
         raise InputError(
-            f"{where}: version 2 to 4 and type N (navigation; of version 2 GPS alone) are needed, got {version!r} and "
+            f"{where}: version 2 to 4 and type N (navigation) are needed, got {version!r} and "
             f"{kind!r}: convert the file (for instance with gfzrnx), or pass that of navigation messages"
         )
     for i, line in enumerate(lines[start:], start):

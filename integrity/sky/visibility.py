@@ -83,7 +83,7 @@ class Reception:
         """The reception as kernels take it, (B, S) of RECEPTION."""
         if self.given is not None:
             return self.given
-        out = packed(RECEPTION, None, {"path": self.path, "excess": self.excess_m})
+        out = packed(RECEPTION, None, path=self.path, excess=self.excess_m)
         out["face"] = out["edge"] = -1
         return out
 

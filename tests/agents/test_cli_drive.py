@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from imageio_ffmpeg import count_frames_and_secs
+from stable_baselines3 import PPO
 from typer.testing import CliRunner
 
 from lanebound.agents.benchmark.outcome import Outcome
@@ -54,6 +55,16 @@ def test_says_what_was_driven(driven):
     assert shown["all"]["success rate"] == 1.0
     assert shown["all"]["availability"] == 1.0
     assert shown["episodes"][0]["mode_shares"] == {"rtk": 1.0}
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_checkpoint_drives_with_and_without_a_name_of_its_own(tmp_path, named):
+    env, path = open_env("LaneKeeping", {"observation": {"form": "flat"}}), tmp_path / "model.zip"
+    PPO("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu").save(path)
+    given = ("--set", "duration_s=1", "--set", "observation.form=flat")
+    shown = run("LaneKeeping", *GIVEN, *given, "--agent", f"mine={path}" if named else str(path))
+    assert shown.exit_code == 0, shown.output
+    assert f"{'mine' if named else path} in LaneKeeping" in shown.stdout.replace("\n", "")
 
 
 def test_the_log_has_a_row_for_each_step_and_says_what_its_columns_are(driven):
@@ -128,7 +139,7 @@ def test_mistakes_are_answered_in_one_line(arguments, message):
         ("raises", "ValueError: no idea what to do \\(bad_agents.py:\\d+\\), at seed 4, step 3", 2),
         ("leaves", "SystemExit: 3 \\(bad_agents.py:\\d+\\), at seed 4, step 3", 2),
         ("unmade", "RuntimeError: could not be made \\(bad_agents.py:\\d+\\)", 1),
-        ("short", "action must be numbers of shape \\(2,\\), got array.*, at seed 4, step 3", 0),
+        ("short", "action must be float32 numbers of shape \\(2,\\), got array.*, at seed 4, step 3", 0),
     ],
 )
 def test_an_agent_that_fails_is_told_by_its_own_frames_and_one_line(maker, line, frames):

@@ -43,6 +43,17 @@ def test_it_fits_into_eighty_characters(capsys, monkeypatch):
     assert "Means over 4 cells (environments x skies x faults), 12 seeds each" in told
 
 
+def test_limits_that_were_chosen_under_another_sky_are_told(capsys):
+    suite = made_up_suite(envs=["Merge", "LaneKeeping"], skies=["urban"], agents=["nominal"], seeds={"count": 2})
+    made = Results.of(suite, [made_up_outcome(task) for task in suite.tasks()])
+    print_overview(made)
+    told = " ".join(capsys.readouterr().out.split())
+    assert "chosen under the sky of the preset, which is another one for Merge-v0 (suburban)." in told
+    own = made_up_suite(envs=["Merge"], skies=["suburban"], agents=["nominal"], seeds={"count": 2})
+    print_overview(Results.of(own, [made_up_outcome(task) for task in own.tasks()]))
+    assert "Cost limits" not in capsys.readouterr().out
+
+
 def test_means_of_other_cells_are_not_to_be_compared(capsys):
     made = results()
     print_overview(Results.of(made.suite, [o for o in made.outcomes if o.agent == "nominal" or o.sky == "urban"]))

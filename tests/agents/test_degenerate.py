@@ -1,4 +1,4 @@
-"""No policy without sense does well beside integrity_aware; Intersection is named in docs/limits.md."""
+"""No deliberately bad policy does well beside integrity_aware; Intersection is named in docs/limits.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Policies without sense: they do what their names say, and are left out where no action allows it."""
+"""Deliberately bad policies: they do what their names say, and are left out where no action allows it."""
 
 from __future__ import annotations
 

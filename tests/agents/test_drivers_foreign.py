@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -11,7 +12,9 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
+from gymnasium.wrappers import NormalizeObservation
 from stable_baselines3 import A2C, DQN, PPO, SAC
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from typer.testing import CliRunner
 
 from lanebound.agents.benchmark import SuiteConfig
@@ -21,7 +24,10 @@ from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import in_a_row
 from lanebound.agents.drivers.foreign import require_foreign
 from lanebound.agents.drivers.importing import require_importable
+from lanebound.agents.drivers.normalization import NORMALIZATION
+from lanebound.agents.drivers.origin import add_text, name_inputs
 from lanebound.agents.episodes import open_env
+from lanebound.agents.learning.training import one_thread
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.core.errors import InputError
@@ -124,6 +130,65 @@ def test_a_policy_of_one_form_of_observation_drives_where_it_is_the_other(tmp_pa
         other = open_env("UrbanCanyon", deep_merge(GIVEN | {"observation": {"vehicles": 3}}, form))
         with pytest.raises(InputError, match="must be trained on these observations"):
             make_agent(path, other)
+
+
+def _trained(path: Path, form: dict[str, Any], policy: str, **normal: Any) -> tuple[Any, VecNormalize, DrivingEnv]:
+    """A PPO after some steps under ``VecNormalize``, its checkpoint at a path."""
+    single = open_env("LaneKeeping", deep_merge(GIVEN, form))
+    envs = VecNormalize(DummyVecEnv([lambda: single]), **normal)
+    with one_thread():
+        model = PPO(policy, envs, n_steps=8, batch_size=8, n_epochs=1, policy_kwargs={"net_arch": [8]}, device="cpu")
+        model.learn(16)
+    model.save(path)
+    return model, envs, single
+
+
+@pytest.mark.parametrize(("form", "policy"), [(FLAT, "MlpPolicy"), ({}, "MultiInputPolicy")])
+@pytest.mark.parametrize("keys", [None, ["ego"]], ids=["all", "one group"])
+def test_a_policy_of_normalized_observations_drives_with_their_statistics_alone(tmp_path, form, policy, keys):
+    if keys and form:
+        return  # flat observations have no groups
+    path = tmp_path / "model.zip"
+    model, envs, single = _trained(path, form, policy, norm_obs_keys=keys)
+    with pytest.raises(InputError, match=r"must hold the statistics of its normalized .*: call .*name_inputs"):
+        make_agent(str(path), single)
+    config = single.config.observation
+    with pytest.raises(InputError, match="normalize must be the VecNormalize of the training, got <"):
+        name_inputs(path, config, "lanebound/LaneKeeping-v0", normalize=envs.venv)
+    name_inputs(path, config, "lanebound/LaneKeeping-v0", normalize=envs)
+    other = open_env("LaneKeeping", deep_merge(GIVEN, {} if form else FLAT))
+    here, there = make_agent(str(path), single), make_agent(str(path), other)
+    seen, elsewhere = single.reset(seed=5)[0], other.reset(seed=5)[0]
+    raw = 0
+    for _ in range(5):
+        wanted = model.predict(envs.normalize_obs(seen), deterministic=True)[0]
+        np.testing.assert_array_equal(here.predict(seen)[0], wanted)
+        np.testing.assert_array_equal(there.predict(elsewhere)[0], wanted)
+        raw += not np.array_equal(model.predict(seen, deterministic=True)[0], wanted)
+        seen, elsewhere = single.step(wanted)[0], other.step(wanted)[0]
+    assert raw == 5
+
+
+def test_rewards_alone_may_be_normalized_and_statistics_of_others_are_refused(tmp_path):
+    path = tmp_path / "model.zip"
+    _, envs, single = _trained(path, FLAT, "MlpPolicy", norm_obs=False)
+    assert type(make_agent(str(path), single)) is PPO
+    name_inputs(path, single.config.observation, "lanebound/LaneKeeping-v0", normalize=envs)
+    assert type(make_agent(str(path), single)) is PPO
+    for text in ("{}", '{"mean": {"": [1]}, "variance": {"": [1]}, "epsilon": 0, "limit": 1}', "[]"):
+        damaged = tmp_path / f"{len(text)}.zip"
+        damaged.write_bytes(path.read_bytes())
+        add_text(damaged, NORMALIZATION, text)
+        with pytest.raises(InputError, match=r"lanebound\.normalization of agent .* must be statistics of its obs"):
+            make_agent(str(damaged), single)
+
+
+def test_a_policy_of_observations_without_bounds_is_refused(tmp_path):
+    single = open_env("LaneKeeping", GIVEN | FLAT)
+    model = PPO("MlpPolicy", NormalizeObservation(single), policy_kwargs={"net_arch": [8]}, device="cpu")
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(InputError, match="must hold the statistics of its normalized observations, got none"):
+        make_agent(str(tmp_path / "model.zip"), single)
 
 
 class Session:

@@ -13,7 +13,7 @@ from lanebound.agents.assess.faults import FaultsConfig, assess_faults
 from lanebound.agents.plugins import load_plugins
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.sensors.fault_kinds import FaultKind
-from lanebound.integrity.sensors.fault_registry import register_fault, withdraw_fault
+from lanebound.integrity.sensors.fault_registry import register_fault
 
 MODULE = """
 from lanebound.integrity.sensors.fault_kinds import FaultKind
@@ -95,20 +95,14 @@ def test_modules_that_cannot_be_imported_are_refused(tmp_path: Path, monkeypatch
 
 def test_worker_processes_need_an_effect_function_that_they_can_import(tmp_path: Path) -> None:
     register_fault(FaultKind(name="local", summary="nothing", apply=lambda effects, now: None))
-    try:
-        with pytest.raises(InputError, match="jobs must be 1 for fault kind 'local', because worker processes cannot"):
-            assess_faults(FaultsConfig(kinds=("local",)), tmp_path, jobs=2)
-    finally:
-        withdraw_fault("local")
+    with pytest.raises(InputError, match="jobs must be 1 for fault kind 'local', because worker processes cannot"):
+        assess_faults(FaultsConfig(kinds=("local",)), tmp_path, jobs=2)
 
 
 def test_the_campaign_refuses_a_kind_that_declares_why_it_is_not_tried() -> None:
     register_fault(
         FaultKind(name="rare", summary="nothing", apply=lambda effects, now: None, not_tried_because="it has no effect")
     )
-    try:
-        assert "rare" not in FaultsConfig().kinds
-        with pytest.raises(ConfigError, match="kinds must be tried in the campaign, got 'rare': it has no effect"):
-            FaultsConfig(kinds=("rare",))
-    finally:
-        withdraw_fault("rare")
+    assert "rare" not in FaultsConfig().kinds
+    with pytest.raises(ConfigError, match="kinds must be tried in the campaign, got 'rare': it has no effect"):
+        FaultsConfig(kinds=("rare",))

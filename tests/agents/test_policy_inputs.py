@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,15 +31,12 @@ FORMS: Any = ({"observation": {"form": "flat"}}, {})
 
 
 @pytest.fixture
-def more_entries() -> Iterator[None]:
+def more_entries() -> None:
     """One entry more in the middle of the index and one at its end."""
     for entry in (MIDDLE, END):
         register_entry(entry)
     columns = [entry.column for entry in entries(ObservationConfig())]
     assert 0 < columns.index(MIDDLE.column) < len(columns) - 1 == columns.index(END.column)
-    yield
-    for entry in (MIDDLE, END):
-        withdraw_entry(entry.column)
 
 
 def drive(env: DrivingEnv, agent: str, steps: int) -> list[Any]:
@@ -91,13 +87,10 @@ def test_new_entries_change_no_action_of_a_checkpoint_that_names_its_entries(tmp
     wanted = drive(env, str(path), 4)
     assert not isinstance(make_agent(str(with_names), env), SelectingDriver)
     register_entry(MIDDLE)
-    try:
-        for other in FORMS:
-            assert drive(open_env("LaneKeeping", deep_merge(given, other)), str(with_names), 4) == wanted
-        with pytest.raises(InputError, match="must be trained on these observations"):
-            make_agent(str(path), open_env("LaneKeeping", deep_merge(given, form)))
-    finally:
-        withdraw_entry(MIDDLE.column)
+    for other in FORMS:
+        assert drive(open_env("LaneKeeping", deep_merge(given, other)), str(with_names), 4) == wanted
+    with pytest.raises(InputError, match="must be trained on these observations"):
+        make_agent(str(path), open_env("LaneKeeping", deep_merge(given, form)))
 
 
 def _network(path: Path, inputs: PolicyInputs, groups: dict[str, int]) -> None:
@@ -120,11 +113,8 @@ def test_new_entries_change_no_action_of_a_network(tmp_path, named):
     _network(Path(path), inputs, sizes if named else {"observation": inputs.size})
     wanted = drive(open_env("LaneKeeping", GIVEN), path, 3)
     register_entry(MIDDLE)
-    try:
-        for form in FORMS:
-            assert drive(open_env("LaneKeeping", deep_merge(GIVEN, form)), path, 3) == wanted
-    finally:
-        withdraw_entry(MIDDLE.column)
+    for form in FORMS:
+        assert drive(open_env("LaneKeeping", deep_merge(GIVEN, form)), path, 3) == wanted
 
 
 def test_an_order_of_its_own_is_kept_in_batches_and_with_a_history():
@@ -152,11 +142,9 @@ def test_a_missing_entry_is_named(more_entries):
     ):
         inputs.select_from(ObservationConfig(vehicles=5), "agent a")
     withdraw_entry(END.column)
-    try:
-        with pytest.raises(InputError, match=r"got one without 'traffic\.plugin_lane': configure"):
-            inputs.select_from(ObservationConfig(), "agent a")
-    finally:
-        register_entry(END)
+    with pytest.raises(InputError, match=r"got one without 'traffic\.plugin_lane': configure"):
+        inputs.select_from(ObservationConfig(), "agent a")
+    register_entry(END)
     with pytest.raises(InputError, match=r"the scale of 'ego.speed' must be 40, with which agent a was .*, got 20: "):
         inputs.select_from(ObservationConfig(speed_max_mps=20), "agent a")
     with pytest.raises(InputError, match=r"observation\.history must be 1, with which agent a was trained, got 2: "):

@@ -55,6 +55,25 @@ def test_a_trial_writes_its_table_and_figures(short, tmp_path):
     assert rows[[r[1] for r in rows].index("max IMM-EKF")][:3] == ("6", "max IMM-EKF", "15")
 
 
+def test_the_error_at_the_end_of_an_outage_is_that_of_its_last_epoch(short):
+    """The outage is 5 <= t < 8 s; at 8.0 s, epoch 79, satellites are back and dead reckoning is at their position."""
+    trial = filters._Trial(filters.FiltersConfig(seeds=3, vehicles=0), filter_scenarios.SCENARIOS["6"])
+    for k in range(90):
+        trial.step(k)
+    figures = trial.summary()["figures"]
+    for name, rows in trial.error.items():
+        last = np.quantile(rows[78], [0.05, 0.5, 0.95])
+        np.testing.assert_array_equal(figures[f"error at the end of the first outage {name}"], last)
+    assert trial.error["DR"][79].max() < 0.5 * trial.error["DR"][78].min()
+
+
+@pytest.mark.parametrize(
+    ("out", "last"), [([0, 1, 1, 0, 1, 0], 2), ([1, 0], 0), ([0, 1, 1], None), ([0, 0], None), ([1, 1], None)]
+)
+def test_the_last_epoch_of_the_first_outage(out, last):
+    assert filters._last_of_first(np.array(out, dtype=np.bool_)) == last
+
+
 def test_sharp_turns_of_390_m_with_slip_by_all_models_and_with_a_calibrated_gyro(tmp_path, monkeypatch):
     """S4's course of 390 m without GNSS, below 3 m with a calibrated gyro; 8 drives."""
     kept = {name: trial for name, trial in filter_scenarios.SHARP.items() if "at rest" in name}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 from highway_env.road.lane import CircularLane, StraightLane
@@ -49,6 +50,22 @@ def test_a_bias_across_the_track_moves_the_real_car(bias_m: float) -> None:
     straight = _true_offsets(_highway(navigation={"source": "perfect"}), 12)
     assert abs(straight[-1]) < 1e-6
     np.testing.assert_allclose(moved[10:], -bias_m, atol=0.02)  # from 5 s on
+
+
+@pytest.mark.parametrize("many", [False, True], ids=["single", "engine"])
+def test_the_level_of_a_given_offset_is_its_size_and_misleads_in_no_step(many: bool) -> None:
+    """On bends, where the projection of the offset onto the track rounds to either side of it."""
+    config = {"sky": "open", "navigation": {"source": "offset", "offset_at_m": 0.7, "offset_ct_m": -0.4}}
+    name = "lanebound/LaneKeeping-v0"
+    env = gymnasium.make_vec(name, 2, config=config) if many else gymnasium.make(name, config=config)
+    env.reset(seed=3)
+    beyond = 0
+    for _ in range(8):
+        *_, info = env.step(np.full(env.action_space.shape, 0.05, np.float32))
+        assert not np.any(info["mi"])
+        assert not np.any(info["hmi"])
+        beyond += sum(int(np.sum(np.abs(info[f"err_{axis}_m"]) > info[f"pl_{axis}_m"])) for axis in ("at", "ct"))
+    assert beyond > 0
 
 
 def test_a_bias_moves_the_car_in_curves_too() -> None:

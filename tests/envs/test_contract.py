@@ -18,6 +18,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import RescaleAction
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 from lanebound.envs import IDS, DrivingEnv, make_config, wrap
@@ -455,6 +456,19 @@ def test_commands_outside_the_space_are_refused(bad: Any) -> None:
     env.reset(seed=1)
     with pytest.raises(InputError, match="action"):
         env.step(bad)
+
+
+def test_a_command_that_rounding_puts_beyond_its_bound_is_one_on_the_bound() -> None:
+    low, high = np.float32(1.3696169), np.float32(4.1405053)
+    plain, scaled = made(LANE_KEEPING), RescaleAction(made(LANE_KEEPING), low, high)
+    assert scaled.func(np.full(2, low)).min() < -1.0  # type: ignore[attr-defined]
+    plain.reset(seed=1)
+    wanted = plain.step(-np.ones(2, np.float32))
+    scaled.reset(seed=1)
+    assert data_equivalence(wanted, scaled.step(np.full(2, low)), exact=True)
+    plain.step(np.full(2, 1.0000005, np.float32))
+    with pytest.raises(InputError, match="clip it"):
+        plain.step(np.full(2, 1.00001, np.float32))
 
 
 # Random driving

@@ -295,6 +295,10 @@ def test_every_epoch_of_a_step_is_judged() -> None:
         (0.9, 0.3, True, (False, True)),
         (0.9, 0.7, True, (False, False)),
         (0.9, 0.3, False, (False, False)),
+        (0.3 + 1e-12, 0.3, True, (False, False)),  # equal but for rounding
+        (0.6 + 1e-12, 0.6, True, (False, False)),
+        (0.3 + 1e-8, 0.3, True, (True, False)),
+        (0.6 + 1e-8, 0.6, True, (False, True)),
     ],
 )
 def test_misleading_and_hazardous_exclude_each_other(

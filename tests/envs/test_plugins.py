@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import importlib
 import pickle
-import sys
-from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
@@ -24,7 +22,7 @@ from lanebound.envs.ids import CONTINUOUS, LaneKeeping, Preset, register_id, wit
 from lanebound.envs.observation import Entry, ObservationConfig, describe, entries, register_entry, withdraw_entry
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.env import engines
-from lanebound.envs.worlds import WorldKind, register_world, withdraw_world
+from lanebound.envs.worlds import WorldKind, register_world
 from lanebound.envs.worlds.base import World
 from lanebound.envs.worlds.networks import StreetNetwork
 from lanebound.envs.worlds.paths import Path, straight
@@ -36,27 +34,17 @@ ENGINE: Any = {"vectorization_mode": "vector_entry_point"}
 OPEN: dict[str, Any] = {"sky": "open"}
 
 
-def _load(name: str) -> ModuleType:
-    """Import a plug-in anew, as a first import does."""
-    sys.modules.pop(name, None)
-    return importlib.import_module(name)
-
-
 @pytest.fixture
-def two_entries() -> Iterator[dict[str, Entry]]:
+def two_entries() -> dict[str, Entry]:
     """One that reads a field, one that is computed."""
-    found = _load("elapsed_time").ELAPSED_TIME, _load("stopping_distance").STOPPING_DISTANCE
-    yield {entry.name: entry for entry in found}
-    for entry in found:
-        withdraw_entry(entry.column)
+    load = importlib.import_module
+    found = load("elapsed_time").ELAPSED_TIME, load("stopping_distance").STOPPING_DISTANCE
+    return {entry.name: entry for entry in found}
 
 
 @pytest.fixture
-def hairpin() -> Iterator[ModuleType]:
-    module = _load("hairpin")
-    yield module
-    withdraw_id("lanebound/Hairpin-v0")
-    withdraw_world("HairpinWorld")
+def hairpin() -> ModuleType:
+    return importlib.import_module("hairpin")
 
 
 def _columns(observation: Any, form: str) -> dict[str, Any]:
@@ -90,12 +78,10 @@ def test_entries_are_shown_by_the_single_environment_and_the_engine(two_entries:
 def test_an_entry_must_give_a_number_for_each_environment() -> None:
     scalar = Entry("constant", "ego", "", 1.0, 0.0, 1.0, "one number for all", source=lambda o: np.float64(3.0))
     register_entry(scalar)
-    try:
-        env = gymnasium.make(KEEPING, config=OPEN)
-        with pytest.raises(InputError, match=r"ego.constant must return one number .*shape \(1,\), got shape \(\)"):
-            env.reset(seed=1)
-    finally:
-        withdraw_entry("ego.constant")
+    env = gymnasium.make(KEEPING, config=OPEN)
+    with pytest.raises(InputError, match=r"ego.constant must return one number .*shape \(1,\), got shape \(\)"):
+        env.reset(seed=1)
+    withdraw_entry("ego.constant")
     with pytest.raises(InputError, match=r"entry must be a registered one, got 'ego.constant': none are known"):
         withdraw_entry("ego.constant")
 
@@ -114,8 +100,6 @@ def test_the_index_lists_them_until_they_are_withdrawn(two_entries: dict[str, En
     for entry in two_entries.values():
         withdraw_entry(entry.column)
     assert not any(name in describe() for name in two_entries)
-    for entry in two_entries.values():
-        register_entry(entry)
 
 
 @pytest.mark.parametrize(
@@ -167,14 +151,9 @@ def test_the_engine_refuses_roads_that_fork(hairpin: ModuleType) -> None:
             return network
 
     register_world(WorldKind("ForkWorld", ForkWorld, ForkWorld.support))
-    try:
-        made = DrivingEnv({"base": "ForkWorld", **CONTINUOUS, **PERFECT})
-        with pytest.raises(
-            ConfigError, match=r"base must have roads without forks .*, got 'ForkWorld': choose another"
-        ):
-            Engine(made, 1)
-    finally:
-        withdraw_world("ForkWorld")
+    made = DrivingEnv({"base": "ForkWorld", **CONTINUOUS, **PERFECT})
+    with pytest.raises(ConfigError, match=r"base must have roads without forks .*, got 'ForkWorld': choose another"):
+        Engine(made, 1)
 
 
 def test_a_benchmark_expects_the_time_that_its_preset_declares(hairpin: ModuleType) -> None:
@@ -198,15 +177,12 @@ def test_its_id_is_one_as_others_until_it_is_withdrawn(hairpin: ModuleType) -> N
     with pytest.raises(InputError, match="name of a world must not be taken, got 'HairpinWorld': choose another"):
         register_world(WorldKind("HairpinWorld", hairpin.HairpinWorld))
     withdraw_id("lanebound/Hairpin-v0")
-    try:
-        assert HAIRPIN not in IDS
-        assert HAIRPIN not in engines()
-        with pytest.raises(gymnasium.error.NameNotFound):
-            gymnasium.make(HAIRPIN)
-        with pytest.raises(InputError, match=r"env_id must be one of .*, got 'lanebound/Hairpin-v0'"):
-            make_config(HAIRPIN)
-    finally:
-        register_id(hairpin.Hairpin)
+    assert HAIRPIN not in IDS
+    assert HAIRPIN not in engines()
+    with pytest.raises(gymnasium.error.NameNotFound):
+        gymnasium.make(HAIRPIN)
+    with pytest.raises(InputError, match=r"env_id must be one of .*, got 'lanebound/Hairpin-v0'"):
+        make_config(HAIRPIN)
 
 
 def test_an_unknown_world_and_one_without_an_engine_are_refused(hairpin: ModuleType) -> None:
@@ -225,17 +201,13 @@ def test_an_unknown_world_and_one_without_an_engine_are_refused(hairpin: ModuleT
     assert "lanebound/Lost-v0" not in IDS
     register_world(WorldKind("AloneWorld", hairpin.HairpinWorld))
     register_id(Alone)
-    try:
-        single = gymnasium.make("lanebound/Alone-v0", config=PERFECT)
-        assert isinstance(single.unwrapped.world, World)  # type: ignore[attr-defined]
-        single.reset(seed=1)
-        assert "lanebound/Alone-v0" not in engines()
-        with pytest.raises(
-            ConfigError,
-            match=r"base must have an engine, as LaneKeepingWorld, .*, HairpinWorld do, got 'AloneWorld': choose one "
-            "of these, or make the same environments with vectorization_mode='sync' or 'async'",
-        ):
-            pair("Alone", PERFECT)
-    finally:
-        withdraw_id("lanebound/Alone-v0")
-        withdraw_world("AloneWorld")
+    single = gymnasium.make("lanebound/Alone-v0", config=PERFECT)
+    assert isinstance(single.unwrapped.world, World)  # type: ignore[attr-defined]
+    single.reset(seed=1)
+    assert "lanebound/Alone-v0" not in engines()
+    with pytest.raises(
+        ConfigError,
+        match=r"base must have an engine, as LaneKeepingWorld, .*, HairpinWorld do, got 'AloneWorld': choose one "
+        "of these, or make the same environments with vectorization_mode='sync' or 'async'",
+    ):
+        pair("Alone", PERFECT)

@@ -22,11 +22,12 @@ from lanebound.envs.records import EgoBelief, Traffic
 from lanebound.envs.rendering import Bodies, EpisodeCost, Frame, RenderingConfig, Satellites, Tape, Viewer
 from lanebound.envs.rendering.canvas import Canvas
 from lanebound.envs.rendering.map_view import camera_of
-from lanebound.envs.rendering.panel import legend_entries
+from lanebound.envs.rendering.panel import _ago, _rtk, legend_entries
 from lanebound.envs.rendering.roads import RoadDrawing
 from lanebound.envs.rendering.theme import THEMES
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.rtk_status import RtkStatus
 from lanebound.integrity.sky.scene import City, Surface, prisms
 
 DARK = THEMES["dark"]
@@ -181,6 +182,20 @@ def test_missing_levels_can_be_drawn(viewer, frame):
     assert (viewer.render(blind) != viewer.render(frame)).any()
 
 
+def test_the_panel_says_why_the_position_is_not_rtk(viewer, frame):
+    shown = belief(mode=int(Mode.RTK), rtk=RtkStatus.FIXED.code)
+    assert _rtk(shown) == "fixed"
+    gone = {status: _rtk(belief(mode=int(Mode.IMU_ODOMETER), rtk=status.code)) for status in RtkStatus}
+    assert len({*gone.values(), "fixed"}) == len(RtkStatus) + 1
+    assert (gone[RtkStatus.TOO_FEW], gone[RtkStatus.FAULT]) == ("too few satellites", "refused by a test")
+    half = 0.5 * (viewer.config.panel_width_px - 40)
+    canvas = Canvas(10, 10, 1)
+    assert all(canvas.width_of(f"RTK  {words}", 11) < half for words in gone.values())
+    assert (_ago(belief(since_rtk_s=8.42)), _ago(belief(since_rtk_s=np.inf))) == ("8.4 s ago", "never")
+    pictures = [viewer.render(replace(frame, belief=belief(mode=3, rtk=s.code))) for s in list(RtkStatus)[1:3]]
+    assert (pictures[0] != pictures[1]).any()
+
+
 def test_the_legend_shows_the_colours_of_the_picture(viewer, frame):
     """The key to the levels: 16 px wide at the foot of the map, its edge in the colour of the status."""
     for colour, state in ((DARK.ok, belief()), (DARK.alert, belief(alert=True, reason=2))):
@@ -236,18 +251,18 @@ def count(picture, colour) -> int:
 
 
 def test_triangles_mark_what_lies_beyond_an_edge(viewer, frame):
-    """On the strip charts, whose upper edge lies at 334 px, and at the edges of the error box."""
+    """On the strip charts, whose upper edge lies at 350 px, and at the edges of the error box."""
     inside, beyond = Tape(), Tape()
     row = {"pl_at_m": 0.5, "al_at_m": 1.5, "err_ct_m": 0.1, "pl_ct_m": 0.4, "al_ct_m": 1.0, "alert": False}
     for k in range(200):
         inside.add(0.1 * k, err_at_m=2.39, **row)
         beyond.add(0.1 * k, err_at_m=2.41, **row)
     drawn, marked = (viewer.render(replace(frame, time_s=19.9, trace=tape.trace)) for tape in (inside, beyond))
-    changed = np.argwhere((drawn[:424] != marked[:424]).any(-1))
+    changed = np.argwhere((drawn[:432] != marked[:432]).any(-1))
     assert len(changed) > 50
-    assert changed[:, 0].max() < 360
+    assert changed[:, 0].max() < 376
     levels = {"pl_at_m": 0.6, "pl_ct_m": 1.5}, {"pl_at_m": 0.6, "pl_ct_m": 1.7}
-    boxes = [viewer.render(replace(frame, belief=belief(alert=True, **level)))[178:312, 816:950] for level in levels]
+    boxes = [viewer.render(replace(frame, belief=belief(alert=True, **level)))[194:328, 816:950] for level in levels]
     edge = slice(3, 9), slice(None)
     middle = slice(60, 75), slice(0, 12)
     assert count(boxes[1][middle], DARK.alert) > count(boxes[0][middle], DARK.alert)
@@ -255,10 +270,10 @@ def test_triangles_mark_what_lies_beyond_an_edge(viewer, frame):
 
 
 def test_the_episode_s_cost_is_shown_and_coloured_beyond_its_limit(viewer, frame):
-    """The fifth row of figures, at 140 to 152 px."""
+    """The sixth row of figures, at 156 to 168 px."""
 
     def row(cost):
-        return viewer.render(replace(frame, cost=cost))[140:153, 670:800]
+        return viewer.render(replace(frame, cost=cost))[156:169, 670:800]
 
     assert count(row(EpisodeCost(0.5, 15.0, 15.0)), DARK.alert) == 0
     assert count(row(EpisodeCost(0.5, 15.5, 15.0)), DARK.alert) > 10

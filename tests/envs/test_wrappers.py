@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import data_equivalence
-from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, TimeLimit
+from gymnasium.wrappers import Autoreset, FlattenObservation, RecordEpisodeStatistics, TimeLimit
 
 from lanebound.envs.costs import CAUSES
-from lanebound.envs.wrappers import CostIntoReward, EpisodeStatistics, SafetyGymnasium
+from lanebound.envs.wrappers import CostIntoReward, EpisodeStatistics, SafetyGymnasium, SafetyGymnasiumVector
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning.modes import Mode
 
@@ -186,6 +186,63 @@ def test_an_environment_of_somebody_else_is_refused() -> None:
         env = wrapper(gym.make("CartPole-v1"))
         with pytest.raises(InputError, match="wrap an environment of lanebound"):
             env.reset(seed=0)
+
+
+def test_another_order_of_wrappers_is_refused_by_name() -> None:
+    recorded = RecordEpisodeStatistics(SafetyGymnasium(Told({})))
+    recorded.reset()
+    with pytest.raises(InputError, match=r"got RecordEpisodeStatistics around it.* SafetyGymnasium\(RecordEpis"):
+        recorded.step(0)
+    again = Autoreset(SafetyGymnasium(Told({})))
+    again.reset()
+    with pytest.raises(InputError, match="got Autoreset around it"):
+        again.step(0)
+    vector = gym.vector.SyncVectorEnv([lambda: SafetyGymnasium(Told({}))])
+    vector.reset()
+    with pytest.raises(InputError, match=r"got SyncVectorEnv around it.* SafetyGymnasiumVector\(envs\)"):
+        vector.step(np.zeros(1, dtype=np.int64))
+    with pytest.raises(InputError, match=r"write Autoreset\(EpisodeStatistics\(env\)\)"):
+        EpisodeStatistics(Autoreset(Told({})))
+    with pytest.raises(InputError, match="use SafetyGymnasiumVector"):
+        SafetyGymnasium(gym.vector.SyncVectorEnv([lambda: Told({})]))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"use SafetyGymnasium$"):
+        SafetyGymnasiumVector(Told({}))  # type: ignore[arg-type]
+
+
+def test_the_orders_that_the_page_names_work_over_two_episodes() -> None:
+    env = SafetyGymnasium(Autoreset(EpisodeStatistics(Told({"cost": 1.0}, {"cost": 2.0}))))
+    env.reset()
+    steps = [env.step(0) for _ in range(5)]
+    assert [step[2] for step in steps] == [1.0, 2.0, 0.0, 1.0, 2.0]
+    assert [step[5]["episode_integrity"]["cost"] for step in (steps[1], steps[4])] == [3.0, 3.0]
+    passed_on = gym.Wrapper(SafetyGymnasium(Told({"cost": 1.0})))
+    passed_on.reset()
+    assert len(passed_on.step(0)) == 6
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
+def test_costs_of_a_vector_are_those_of_the_steps_made(mode: str) -> None:
+    makers = [lambda: Told({"cost": 1.0}, {"cost": 200.0}), lambda: Told({"cost": 3.0}, {"cost": 4.0}, {"cost": 5.0})]
+    envs = SafetyGymnasiumVector(gym.vector.SyncVectorEnv(makers, autoreset_mode=mode))
+    envs.reset()
+    costs = [envs.step(np.zeros(2, dtype=np.int64))[2].tolist() for _ in range(3)]
+    assert costs[:2] == [[1.0, 3.0], [200.0, 4.0]]
+    assert costs[2] == ([1.0, 5.0] if mode == "SameStep" else [0.0, 5.0])
+
+
+def test_the_engine_gives_the_cost_of_a_last_step_as_single_environments_do() -> None:
+    config = {"sky": "open", "layouts": 1}
+    envs = SafetyGymnasiumVector(gym.make_vec(ID, 2, config=config, autoreset_mode="SameStep"))
+    envs.reset(seed=2)
+    single = SafetyGymnasium(gym.make(ID, config=config))
+    single.reset(seed=2)
+    over = False
+    while not over:
+        *_, cost, terminated, truncated, _ = single.step(SWERVE)
+        costs = envs.step(np.stack([SWERVE, SWERVE]))[2]
+        assert costs[0] == pytest.approx(cost)
+        over = terminated or truncated
+    assert cost >= 200.0  # off the road
 
 
 def test_a_stack_of_wrappers_goes_through_a_specification_in_json() -> None:

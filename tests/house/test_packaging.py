@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
 from importlib import metadata
 from itertools import pairwise
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 
@@ -48,6 +51,39 @@ def test_data_files_are_packaged():
     data = {path for path in files if path.suffix != ".py" and "__pycache__" not in path.parts}
     assert data
     assert data <= packaged
+
+
+BUILD = "import sys, build_backend as b; print(getattr(b, 'build_' + sys.argv[1])(sys.argv[2]))"
+
+
+def built(kind: str, source: Path, out: Path) -> set[str]:
+    """Names in a wheel or source archive of a source tree."""
+    done = subprocess.run(
+        [sys.executable, "-c", BUILD, kind, str(out)], cwd=source, capture_output=True, text=True, check=True
+    )
+    archive = out / done.stdout.splitlines()[-1]
+    if kind == "wheel":
+        return set(ZipFile(archive).namelist())
+    with tarfile.open(archive) as sdist:
+        return {name.partition("/")[2] for name in sdist.getnames()}
+
+
+def test_a_wheel_leaves_nothing_in_the_clone_and_holds_no_module_that_was_deleted(tmp_path):
+    clone, out = tmp_path / "clone", tmp_path / "out"
+    out.mkdir()
+    for layer in LAYERS:
+        shutil.copytree(ROOT / layer, clone / layer, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "build_backend.py", "MANIFEST.in", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, clone)
+    before = sorted(path.name for path in clone.iterdir())
+    modules = {f"lanebound/{path.relative_to(clone)}" for layer in LAYERS for path in (clone / layer).rglob("*.py")}
+    assert {name for name in built("wheel", clone, out) if name.endswith(".py")} == modules
+    (clone / "envs" / "wrappers.py").rename(clone / "envs" / "wrapping.py")
+    later = built("wheel", clone, out)
+    assert "lanebound/envs/wrapping.py" in later
+    assert "lanebound/envs/wrappers.py" not in later
+    assert sorted(path.name for path in clone.iterdir() if path.name != "__pycache__") == before
+    assert {"build_backend.py", "envs/wrapping.py"} <= built("sdist", clone, out)
 
 
 def test_versions_agree():

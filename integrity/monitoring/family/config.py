@@ -73,6 +73,7 @@ class LevelKind(Enum):
     SBAS = "sbas"
     NORMAL = "normal"
     ISOTROPIC = "isotropic"
+    ISOTROPIC_PUBLISHED = "isotropic_published"
     ISOTROPIC_KALMAN = "isotropic_kalman"
     COMPOSITE = "composite"
     RAYLEIGH = "rayleigh"
@@ -109,7 +110,9 @@ class FamilyMonitorConfig(Config):
         None, description="odds of codes by their loss of C/N0: the most doubtful are left out; none: all are used"
     )
     araim: AraimConfig | None = Field(None, description="aviation budgets of ARAIM; none: the risk of the road")
-    en_route: bool = Field(False, description="K_H 6.18 of en route to LNAV in place of 6.0; DO-229D J.1")
+    en_route: bool = Field(
+        False, description="K_H 6.18 of en route to LNAV, which S3 prints, in place of 6.0; DO-229D J.1"
+    )
     vertical: bool = Field(
         False, description="vertical levels as well, at the same risk; ARAIM, SBAS and normal errors always state them"
     )

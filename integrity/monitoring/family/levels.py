@@ -155,8 +155,20 @@ def normal(work: LevelWork) -> Array:
 
 
 def isotropic(work: LevelWork) -> Array:
-    """IBPL: ``k |r| d_major`` of whitened residuals; errors of any size that point in any direction alike."""
-    size = np.sqrt(work.fit.wsse) * work.fit.major_m
+    """IBPL: ``k |r| d_major`` of whitened residuals; errors of any size that point in any direction alike.
+
+    The chance of an error beyond it is the risk in a circular geometry, and below it in others.
+    """
+    return _isotropic(work, work.fit.major_m)
+
+
+def isotropic_published(work: LevelWork) -> Array:
+    """IBPL as printed: ``k |r| HDOP`` (S3 eq 15), HDOP of the deviations; up to root 2 above :func:`isotropic`."""
+    return _isotropic(work, work.fit.hdop_m)
+
+
+def _isotropic(work: LevelWork, spread_m: Array) -> Array:
+    size = np.sqrt(work.fit.wsse) * spread_m
     return np.where((work.fit.df > 0)[:, None], times(isotropic_factor(work.fit.df, work.risks), size[:, None]), np.inf)
 
 
@@ -196,6 +208,7 @@ LEVELS: dict[LevelKind, Callable[[LevelWork], Array]] = {
     LevelKind.SBAS: sbas,
     LevelKind.NORMAL: normal,
     LevelKind.ISOTROPIC: isotropic,
+    LevelKind.ISOTROPIC_PUBLISHED: isotropic_published,
     LevelKind.RAYLEIGH: rayleigh,
     LevelKind.PARETO: pareto,
 }

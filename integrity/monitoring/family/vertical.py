@@ -103,5 +103,6 @@ ASKED: dict[LevelKind, Callable[[LevelWork], Array]] = {
     LevelKind.SEPARATION_ROOT: _of_axes(lambda w: root_axes(w.epochs, w.fit, w.config, w.risks, closed=False)),
     LevelKind.SEPARATION_ODDS: _of_axes(lambda w: odds_axes(w.epochs, w.fit, w.config, w.risks)),
     LevelKind.ISOTROPIC: _isotropic,
+    LevelKind.ISOTROPIC_PUBLISHED: _isotropic,
 }
 """Forms of kinds that state one where the configuration asks for it."""

@@ -43,7 +43,7 @@ def test_a_sound_agent(env):
         ("raises", "raised", r"ValueError: no idea what to do \(bad_agents.py:\d+\)"),
         ("leaves", "raised", "SystemExit: 3"),
         ("not_a_number", "not_finite", "action must be finite, got array"),
-        ("short", "wrong_shape", r"action must be numbers of shape \(2,\), got array"),
+        ("short", "wrong_shape", r"action must be float32 numbers of shape \(2,\), got array"),
         ("says_words", "wrong_shape", "got 'left'"),
         ("too_much", "outside_space", "action must lie in Box"),
     ],

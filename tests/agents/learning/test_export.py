@@ -13,6 +13,7 @@ from experiments import experiment
 from gymnasium import spaces
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import A2C, PPO, SAC, TD3
+from stable_baselines3.common.vec_env import VecNormalize
 from typer.testing import CliRunner
 
 from lanebound.agents.benchmark.suite import SuiteConfig
@@ -35,6 +36,24 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "ppo_lagrangian": {"n_steps": 32, "batch_size": 32, "n_epochs": 1, "policy_kwargs": {"log_std_init": 1.0}},
     "sac": {"learning_starts": 20, "buffer_size": 100, "batch_size": 16, "train_freq": 16},
 }
+
+
+def test_a_network_of_a_policy_under_normalization_takes_plain_observations(tmp_path: Path) -> None:
+    planned = experiment(env="LaneKeeping", overrides=STILL)
+    envs, path = VecNormalize(EngineVecEnv("lanebound/LaneKeeping-v0", 2, planned.env_overrides)), tmp_path / "m.zip"
+    model = PPO("MlpPolicy", envs, n_steps=8, batch_size=8, n_epochs=1, policy_kwargs={"net_arch": [8]}, device="cpu")
+    model.learn(16).save(path)
+    with pytest.raises(InputError, match="must hold the statistics of its normalized observations"):
+        export_onnx(path, tmp_path / "net.onnx", "LaneKeeping", {"overrides": STILL})
+    name_inputs(path, envs.config.observation, "lanebound/LaneKeeping-v0", normalize=envs)
+    network = make_agent(str(export_onnx(path, tmp_path / "net.onnx", changes={"overrides": STILL})), planned.open())
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        seen = rng.uniform(-1.0, 1.0, model.observation_space.shape).astype(np.float32)
+        wanted, _ = model.predict(envs.normalize_obs(seen), deterministic=True)
+        np.testing.assert_allclose(network.predict(seen)[0], wanted, atol=2e-5)
+    with pytest.raises(InputError, match=r"must see plain observations, got .*: use \.onnx"):
+        export_arrays(path, tmp_path / "net.npz", changes={"overrides": STILL})
 
 
 @pytest.mark.parametrize(

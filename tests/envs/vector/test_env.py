@@ -248,6 +248,30 @@ def test_commands_and_options_are_checked() -> None:
         engine.step(np.zeros(2, dtype=np.int64))
 
 
+def test_the_wanted_type_of_commands_is_named() -> None:
+    steered, chosen = VectorLaneKeeping(2, PERFECT), VectorHighway(2, SHORT)
+    steered.reset(seed=1)
+    chosen.reset(seed=1)
+    with pytest.raises(InputError, match=r"must be float32 numbers of shape \(2, 2\), got float64 \(2,\)"):
+        steered.step(np.zeros(2))
+    with pytest.raises(InputError, match=r"must be integers of shape \(2,\), got float64 \(2,\)"):
+        chosen.step(np.zeros(2))
+
+
+def test_a_command_that_rounding_puts_beyond_its_bound_is_one_on_the_bound() -> None:
+    beyond = np.full((2, 2), 1.0000005, np.float32)
+    assert (beyond > 1.0).all()
+    rewards = []
+    for actions in (beyond, np.ones((2, 2), np.float32), -np.ones((2, 2), np.float32), -beyond):
+        engine = VectorLaneKeeping(2, PERFECT)
+        engine.reset(seed=1)
+        rewards.append(engine.step(actions)[1])
+    np.testing.assert_array_equal(rewards[0], rewards[1])
+    np.testing.assert_array_equal(rewards[2], rewards[3])
+    with pytest.raises(InputError, match=r"actions\[0\] must lie in Box.* clip it"):
+        engine.step(np.full((2, 2), 1.00001, np.float32))
+
+
 def test_who_commands_nonsense_is_named() -> None:
     engine = VectorLaneKeeping(2, PERFECT)
     engine.reset(seed=1)

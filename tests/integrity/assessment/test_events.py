@@ -38,6 +38,14 @@ def record(error_ct: list[float], pl_ct: list[float], alert: str = "", interval_
     )
 
 
+def test_an_error_that_equals_its_level_or_limit_but_for_rounding_is_not_beyond_it() -> None:
+    level = 0.1 + 0.2  # 0.30000000000000004
+    error = np.array([np.nextafter(level, 1.0), np.nextafter(1.0, 2.0), level + 1e-8, 1.0 + 1e-8])
+    zones = [Zone(code).name for code in classify(error, [level, 1.0, level, level], 1.0)]
+    assert zones == ["NOMINAL", "NOMINAL", "MISLEADING", "HAZARDOUS"]
+    assert not find_events(record(error[:2].tolist(), [level, 1.0]), 1.0, 1.0).ct.failure.any()
+
+
 def test_zones_by_hand() -> None:
     error = [0.2, 0.5, -0.6, 1.0, 1.1, 1.1, 0.2, 2.5, 2.0]
     pl = [0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 2.0, 2.0, np.inf]

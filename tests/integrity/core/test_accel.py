@@ -289,7 +289,7 @@ def test_every_row_is_worked_on_once_whatever_the_number_of_threads(four_threads
 
 
 def test_threads_share_the_work(four_threads):
-    meeting = threading.Barrier(4, timeout=60.0)  # only four threads at once get past it
+    meeting = threading.Barrier(4, timeout=600.0)  # only four threads at once get past it
 
     def kernel(first, last):
         if not met.is_set():

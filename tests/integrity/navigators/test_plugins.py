@@ -8,8 +8,6 @@ from __future__ import annotations
 import importlib
 import json
 import pickle
-import sys
-from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
@@ -32,9 +30,8 @@ from lanebound.integrity.navigators.navigator import (
     Navigator,
     NavigatorConfig,
     navigator_class,
-    withdraw_navigator,
 )
-from lanebound.integrity.navigators.rtk_reckoning import modes, monitors
+from lanebound.integrity.navigators.rtk_reckoning import monitors
 from lanebound.integrity.navigators.rtk_reckoning.monitors import Point
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
@@ -46,30 +43,21 @@ DT_S, MPS = 0.1, 10.0
 KEEPING = "lanebound/LaneKeeping-v0"
 
 
-def _load(name: str) -> ModuleType:
-    """Import a plug-in anew, as a first import does."""
-    sys.modules.pop(name, None)
-    return importlib.import_module(name)
+@pytest.fixture
+def inertial() -> Mode:
+    found: Mode = importlib.import_module("inertial").INERTIAL
+    return found
 
 
 @pytest.fixture
-def inertial() -> Iterator[Mode]:
-    yield _load("inertial").INERTIAL
-    modes.withdraw_mode("inertial")
+def interference() -> AlertReason:
+    found: AlertReason = importlib.import_module("interference").REASON
+    return found
 
 
 @pytest.fixture
-def interference() -> Iterator[AlertReason]:
-    yield _load("interference").REASON
-    monitors.withdraw_monitor("interference")
-    AlertReason.withdraw("interference")
-
-
-@pytest.fixture
-def odometer_gyro() -> Iterator[ModuleType]:
-    module = _load("odometer_gyro")
-    yield module
-    withdraw_navigator(module.OdometerGyroConfig)
+def odometer_gyro() -> ModuleType:
+    return importlib.import_module("odometer_gyro")
 
 
 def _drive(navigator: Navigator, epochs: range) -> list[Solution]:
@@ -223,12 +211,9 @@ def test_a_level_that_a_monitor_lowers_is_refused() -> None:
         epoch.levels[first:last] = 0.0  # type: ignore[attr-defined]
 
     monitors.register_monitor("optimist", "nothing", (), {Point.BOUNDED: lower})
-    try:
-        navigator = _tunnel(NavigatorConfig.load({"monitors": ["optimist"]}), [1])
-        with pytest.raises(InputError, match=r"after 'monitor optimist' .* inf m, or more .* got 0.000 m"):
-            _drive(navigator, range(1))
-    finally:
-        monitors.withdraw_monitor("optimist")
+    navigator = _tunnel(NavigatorConfig.load({"monitors": ["optimist"]}), [1])
+    with pytest.raises(InputError, match=r"after 'monitor optimist' .* inf m, or more .* got 0.000 m"):
+        _drive(navigator, range(1))
 
 
 @pytest.mark.parametrize("point", [Point.MEASURED, Point.FIX, Point.JUDGED])
@@ -237,12 +222,9 @@ def test_levels_are_raised_at_the_end_alone(point: Point) -> None:
         epoch.levels[first:last] = 7.0 + np.abs(np.nan_to_num(epoch.levels[first:last], posinf=1e9))  # type: ignore[attr-defined]
 
     monitors.register_monitor("early", "nothing", (), {point: widen})
-    try:
-        navigator = _tunnel(NavigatorConfig.load({"monitors": ["early"]}), [1])
-        with pytest.raises(InputError, match=r"after 'monitor early'"):
-            _drive(navigator, range(20))
-    finally:
-        monitors.withdraw_monitor("early")
+    navigator = _tunnel(NavigatorConfig.load({"monitors": ["early"]}), [1])
+    with pytest.raises(InputError, match=r"after 'monitor early'"):
+        _drive(navigator, range(20))
 
 
 def test_levels_of_rtk_are_not_lowered_by_a_monitor() -> None:
@@ -250,22 +232,16 @@ def test_levels_of_rtk_are_not_lowered_by_a_monitor() -> None:
         epoch.fixed_levels[first:last] *= 0.01  # type: ignore[attr-defined]
 
     monitors.register_monitor("shrinking", "nothing", (), {Point.ESTIMATED: shrink})
-    try:
-        navigator = _tunnel(NavigatorConfig.load({"monitors": ["shrinking"]}), [1])
-        with pytest.raises(InputError, match="levels of the RTK position may only grow"):
-            _drive(navigator, range(60))
-    finally:
-        monitors.withdraw_monitor("shrinking")
+    navigator = _tunnel(NavigatorConfig.load({"monitors": ["shrinking"]}), [1])
+    with pytest.raises(InputError, match="levels of the RTK position may only grow"):
+        _drive(navigator, range(60))
 
 
 def test_a_monitor_that_does_nothing_changes_nothing_and_one_without_a_reason_is_refused() -> None:
     monitors.register_monitor("idle", "nothing", (), {Point.MEASURED: lambda first, last, epoch, own: None})
-    try:
-        with_it = _drive(_tunnel(NavigatorConfig.load({"monitors": ["idle"]}), [1]), range(5))
-        without = _drive(_tunnel(NavigatorConfig(), [1]), range(5))
-        np.testing.assert_array_equal([s.pl_ct_m for s in with_it], [s.pl_ct_m for s in without])
-    finally:
-        monitors.withdraw_monitor("idle")
+    with_it = _drive(_tunnel(NavigatorConfig.load({"monitors": ["idle"]}), [1]), range(5))
+    without = _drive(_tunnel(NavigatorConfig(), [1]), range(5))
+    np.testing.assert_array_equal([s.pl_ct_m for s in with_it], [s.pl_ct_m for s in without])
     with pytest.raises(InputError, match="reason of monitor 'mute' must not be NONE"):
         monitors.register_monitor("mute", "", (), {Point.BOUNDED: lambda *_: None}, reason=AlertReason.NONE)
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import pickle
-import sys
-from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
@@ -27,10 +25,8 @@ KEEPING = "lanebound/LaneKeeping-v0"
 
 
 @pytest.fixture
-def galileo() -> Iterator[ModuleType]:
-    sys.modules.pop("galileo", None)
-    yield importlib.import_module("galileo")
-    withdraw_service("galileo")
+def galileo() -> ModuleType:
+    return importlib.import_module("galileo")
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_missing_parts_and_disorder_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="frame_times"):
         read_comma(tmp_path)
     np.save(comma_folder(tmp_path) / "global_pose/frame_times.npy", np.zeros(8))
-    with pytest.raises(InputError, match="row 1 does not"):
+    with pytest.raises(InputError, match="7 of 8 rows go back, row 2 by"):
         read_comma(tmp_path)
 
 

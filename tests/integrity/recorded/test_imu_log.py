@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import gzip
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import geodetic_from_ecef
-from lanebound.integrity.recorded.imu_log import G_MPS2, GPS_EPOCH_S, levelled, read_imu_log, read_solution_track
+from lanebound.integrity.recorded.imu_log import G_MPS2, levelled, read_imu_log
+from lanebound.integrity.recorded.time_scales import GPS_EPOCH_S
 
 START = 1_751_999_658  # 2025-07-08 18:34:18 by GPS time, in seconds since 1970
 ROLL, PITCH = np.deg2rad(3.0), np.deg2rad(-5.0)
@@ -81,21 +83,51 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
         levelled(type(moving)(moving.gps_time_s, 1.2 * moving.force_mps2, moving.rate_radps, None))
 
 
-def test_a_solution_with_velocities_is_read(tmp_path: Path) -> None:
-    head = "%  GPST latitude(deg) longitude(deg) height(m) Q ns sdn sde sdu sdne sdeu sdun age ratio vn ve vu sdvn\n"
-    row = "2025/07/08 18:34:{} 40.0966268 -105.1474483 1601.474 1 21 0.0099 0.0098 0.01 0 0 0 0 0 {} -0.002 0.009 0.05"
-    path = tmp_path / "gnss.pos"
-    path.write_text(head + "".join(row.format(f"{18 + 0.25 * k:.3f}", 0.5 * k) + "\n" for k in range(4)))
-    track = read_solution_track(path)
-    np.testing.assert_allclose(track.gps_time_s, START - GPS_EPOCH_S + 0.25 * np.arange(4), atol=1e-6)
-    latitude, longitude, height = geodetic_from_ecef(track.position_ecef_m[0])
-    assert np.rad2deg([latitude, longitude]) == pytest.approx([40.0966268, -105.1474483], abs=1e-9)
-    assert height == pytest.approx(1601.474, abs=1e-4)
-    np.testing.assert_allclose(track.velocity_neu_mps[:, 0], [0.0, 0.5, 1.0, 1.5])
-    assert track.quality.tolist() == [1, 1, 1, 1]
-    path.write_text(head + " ".join(row.format("18.000", 0).split()[:15]) + "\n" + row.format("19.000", 0) + "\n")
-    with pytest.raises(InputError, match="velocities in columns 16 to 18, got 15"):
-        read_solution_track(path)
-    path.write_text(head)
-    with pytest.raises(InputError, match="at least one position"):
-        read_solution_track(path)
+def test_copies_with_other_line_ends_separators_or_packing_are_the_same_log(tmp_path: Path) -> None:
+    path = _write(tmp_path, cut=False)
+    whole, text = read_imu_log(path), path.read_text()
+    tags = tmp_path / "crlf.tag"
+    data = (tmp_path / "imu.csv.tag").read_bytes()
+    counts = np.frombuffer(data[76:], np.dtype([("tick", "<u4"), ("bytes", "<u4")])).copy()
+    counts["bytes"] += 10 * np.arange(1, len(counts) + 1, dtype=np.uint32)  # ten lines in a block, one byte each
+    tags.write_bytes(data[:76] + counts.tobytes())
+    for name, body, tag in (
+        ("lf.csv", text.encode(), tags),  # a checkout without the carriage returns that the tags count
+        ("crlf.csv", text.replace("\n", "\r\n").encode(), tags),
+        ("tab.csv", text.replace(",", "\t").encode(), None),
+        ("semicolon.csv", text.replace(",", ";").encode(), None),
+        ("imu.csv.gz", gzip.compress(text.encode()), None),
+    ):
+        (tmp_path / name).write_bytes(body)
+        found = read_imu_log(tmp_path / name, tag or tmp_path / "imu.csv.tag")
+        np.testing.assert_allclose(found.gps_time_s, whole.gps_time_s, atol=1e-6)
+        np.testing.assert_array_equal(found.force_mps2, whole.force_mps2)
+
+
+def test_tags_that_go_on_after_the_end_of_a_cut_log_do_not_bend_its_clock(tmp_path: Path) -> None:
+    path = _write(tmp_path, cut=False)
+    whole = read_imu_log(path)
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:400]))
+    np.testing.assert_allclose(read_imu_log(path).gps_time_s, whole.gps_time_s[:400], atol=1e-3)
+
+
+@pytest.mark.parametrize(("clock", "message"), [
+    (lambda ms: ms * 1000, r"got a factor of 0\.001.*it is probably in us, not in ms"),
+    (lambda ms: ms / 1000, r"got a factor of 1\d\d\d.*it is probably in s, not in ms"),
+    (lambda ms: ms + 500.0 * (ms > 266_900), "keep to a line through its time tags within 0.1 s"),
+    (lambda ms: ms - 5003.0 * (ms > 271_000), "must have times that increase, 90 of 1000 rows go back"),
+    (lambda ms: 600_000.0 - ms, "must have times that increase, 999 of 1000 rows go back"),
+])  # fmt: skip
+def test_clocks_of_other_units_that_jump_or_go_back_are_refused(tmp_path: Path, clock, message: str) -> None:
+    path = _write(tmp_path, cut=False)
+    rows = [line.rsplit(",", 1) for line in path.read_text().splitlines()]
+    path.write_text("".join(f"{row},{clock(float(ms))}\n" for row, ms in rows))
+    with pytest.raises(InputError, match=message):
+        read_imu_log(path)
+
+
+def test_a_force_in_another_unit_is_named(tmp_path: Path) -> None:
+    log = read_imu_log(_write(tmp_path))
+    for factor, unit in ((G_MPS2, r"m/s\^2"), (1000.0, "mg")):
+        with pytest.raises(InputError, match=f"at rest, got a mean force of .*it is probably in {unit}, not in g"):
+            levelled(replace(log, force_mps2=factor * log.force_mps2))

@@ -138,6 +138,41 @@ def test_events_other_systems_and_the_end(tmp_path: Path) -> None:
     assert "lacks 1 of its lines" in str(found.stopped)
 
 
+def test_an_event_that_repeats_the_types_changes_nothing(tmp_path: Path) -> None:
+    row, names = f"{2e7:14.3f}  {1e8:14.3f}1", ["C1", "L1", *(f"S{k}" for k in range(1, 9))]
+    listed = [f"{10:6d}" + "".join(f"{n:>6}" for n in names[:9]), " " * 6 + f"{names[9]:>6}"]
+
+    def text(*event: str) -> str:
+        rows = f"{row}\n\n"
+        return (
+            header(*names[:9]).replace("     9", "    10").replace(
+                f"{'  2024':6}", f"{listed[1]:<60}# / TYPES OF OBSERV\n  2024", 1)
+            + f" 24  6 24  8 20  0.0000000  0  1G05\n{rows}"
+            + (" " * 28 + f"4{len(event):3d}\n" + "".join(f"{t:<60}# / TYPES OF OBSERV\n" for t in event))
+            + f" 24  6 24  8 20  1.0000000  0  1G05\n{rows}"
+        )  # fmt: skip
+
+    plain, again = read(tmp_path, text()), read(tmp_path, text(*listed))
+    assert again.epochs == plain.epochs == 2
+    np.testing.assert_array_equal(again.rows["G"].value, plain.rows["G"].value)
+    for changed in (listed[:1], [listed[0].replace("L1", "L2"), listed[1]]):
+        with pytest.raises(InputError, match="types of observables must not change inside the file, from"):
+            read(tmp_path, text(*changed))
+
+
+def test_files_of_glonass_and_blank_ionosphere_are_passed_over(tmp_path: Path) -> None:
+    text = navigation_2_text(HEADER + GPS_RECORD)
+    old = text.replace("N: GPS NAV DATA ", "G: GLONASS NAV  ").splitlines()
+    (tmp_path / "brdc.24g").write_text("\n".join(old[:6]) + "\n")  # messages of four lines
+    found = read_navigation(tmp_path / "brdc.24g")
+    assert len(found) == 0
+    assert found.left_out == ("1 messages of GLONASS: this reader does not use them",)
+    blank = text.replace(" " * 60 + "END", f"{'':<60}ION ALPHA\n{'':<60}ION BETA\n" + " " * 60 + "END", 1)
+    (tmp_path / "brdc.24n").write_text(blank)
+    assert read_klobuchar([tmp_path / "brdc.24n"]) is None
+    assert len(read_navigation(tmp_path / "brdc.24n")) == 1
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

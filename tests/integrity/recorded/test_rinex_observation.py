@@ -12,7 +12,8 @@ from navigation_texts import GPS_RECORD, HEADER
 from recordings import RINEX, real, rinex_epoch, rinex_header, rinex_line, rinex_satellite, survives
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.rinex_observation import read_observations
+from lanebound.integrity.recorded.rinex_observation import Observations, read_observations
+from lanebound.integrity.replay.baseline import base_antenna
 from lanebound.integrity.sky.rinex_navigation import parse_navigation
 
 FUZZ = settings(max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
@@ -122,6 +123,104 @@ def test_events_are_passed_over_and_power_failures_kept(tmp_path: Path) -> None:
     found = read_observations(written(tmp_path, RINEX + event + after + slips))
     assert found.epochs == 3
     assert found.power_failed.tolist() == [False, False, True]
+
+
+def same(first: Observations, second: Observations) -> bool:
+    """Whether two files hold the same epochs and rows, to the bit."""
+    return all(
+        np.array_equal(getattr(first.rows["G"], name), getattr(second.rows["G"], name))
+        for name in ("epoch", "satellite", "value", "lost", "half")
+    ) and np.array_equal(first.tow_s, second.tow_s)
+
+
+AFTER = rinex_epoch(2.0, rinex_satellite("G05", 2e7, 1e8))
+TYPES = rinex_line("G    4 C1C L1C C2W L2W", "SYS / # / OBS TYPES")
+
+
+@pytest.mark.parametrize("event", [
+    (TYPES,), (rinex_line("", "COMMENT"), TYPES), (rinex_line("", "SYS / SCALE FACTOR"), TYPES),
+    (rinex_line("G    1 C1C L1C C2W L2W", "COMMENT"),), (rinex_line("", "APPROX POSITION XYZ"),),
+    (rinex_line(" -3817680.9841  3562840.0688  3650158.4543", "APPROX POSITION XYZ"),),
+    (rinex_line("        0.0000        0.0000        0.0000", "ANTENNA: DELTA H/E/N"),),
+])  # fmt: skip
+def test_an_event_that_repeats_the_header_changes_nothing(tmp_path: Path, event: tuple[str, ...]) -> None:
+    plain = read_observations(written(tmp_path, RINEX + AFTER))
+    found = read_observations(written(tmp_path, RINEX + rinex_epoch(1.5, *event, flag=4) + AFTER))
+    assert same(found, plain)
+    assert found.note == ""
+
+
+@pytest.mark.parametrize(("event", "message"), [
+    (rinex_line("G    4 C1C L1C L2W C2W", "SYS / # / OBS TYPES"), "of G must not change inside the file, from C1C"),
+    (rinex_line("G    3 C1C L1C C2W", "SYS / # / OBS TYPES"), "of G must not change inside the file"),
+    (rinex_line("E    1 C1C", "SYS / # / OBS TYPES"), "of E must not change inside the file, from none to C1C"),
+    (rinex_line("G  100  1 L1C", "SYS / SCALE FACTOR"), "scale factors must not change"),
+    (rinex_line("G  100", "SYS / SCALE FACTOR"), "scale factors must not change"),
+])  # fmt: skip
+def test_an_event_that_changes_the_columns_is_refused(tmp_path: Path, event: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_observations(written(tmp_path, RINEX + rinex_epoch(1.5, event, flag=4) + AFTER))
+
+
+@pytest.mark.parametrize(("flag", "event", "what"), [
+    (3, rinex_line(" -3817680.9841  3562840.0688  3650161.4003", "APPROX POSITION XYZ"), "POSITION XYZ is 2.946 m"),
+    (4, rinex_line("        1.5000        0.0000        0.0000", "ANTENNA: DELTA H/E/N"), "DELTA H/E/N is 1.500 m"),
+    (2, "", "the antenna starts to move"),
+])  # fmt: skip
+def test_a_move_of_the_antenna_is_told_with_its_line_and_refused_of_a_base(
+    tmp_path: Path, flag: int, event: str, what: str
+) -> None:
+    text = RINEX + rinex_epoch(1.5, *([event] if event else []), flag=flag)
+    found = read_observations(written(tmp_path, text + AFTER))
+    line = text.count("\n")
+    assert found.epochs == 3
+    assert found.moves[0].line == line
+    assert f"line {line} (after week 2320, 116401.0 s): " in found.note
+    assert what in found.note
+    with pytest.raises(InputError, match=f"the base must stand at one place, line {line} .*{what}"):
+        base_antenna(found, None)
+    given = np.array([-3817680.9841, 3562840.0688, 3650158.4543])
+    if flag == 3:  # only an approximate position
+        np.testing.assert_array_equal(base_antenna(found, given), given)
+    else:
+        with pytest.raises(InputError, match=r"cut the file there$"):
+            base_antenna(found, given)
+
+
+def test_a_joined_file_of_another_site_is_told(tmp_path: Path) -> None:
+    other = rinex_header(**{"APPROX POSITION XYZ": " -3817680.9841  3562845.0688  3650158.4543"})
+    found = read_observations(written(tmp_path, RINEX + other + AFTER))
+    assert "APPROX POSITION XYZ is 5.000 m from that of the header" in found.note
+
+
+@pytest.mark.parametrize("label", [
+    "MARKER NAME", "REC # / TYPE / VERS", "ANT # / TYPE", "APPROX POSITION XYZ", "ANTENNA: DELTA H/E/N", "INTERVAL",
+    "SYS / SCALE FACTOR", "GLONASS SLOT / FRQ #", "TIME OF FIRST OBS", "LEAP SECONDS",
+])  # fmt: skip
+def test_a_blank_optional_record_is_as_missing(tmp_path: Path, label: str) -> None:
+    rows = RINEX[len(rinex_header()) :]
+    head = rinex_header(**{label: "", "END OF HEADER": ""}).replace(rinex_line("", "END OF HEADER"), "")
+    found = read_observations(written(tmp_path, head + rinex_line("", "END OF HEADER") + rows))
+    without = "".join(line for line in RINEX.splitlines(keepends=True) if line[60:].strip() != label)
+    missing = read_observations(written(tmp_path, without))
+    assert same(found, missing)
+    assert found.header == missing.header
+
+
+def test_a_channel_or_factor_that_is_blank_is_as_missing(tmp_path: Path) -> None:
+    more = rinex_line("  2 R01    R02 -4", "GLONASS SLOT / FRQ #") + rinex_line("G", "SYS / SCALE FACTOR")
+    found = read_observations(written(tmp_path, RINEX.replace(rinex_line("", "END OF HEADER"),
+                                                              more + rinex_line("", "END OF HEADER"))))  # fmt: skip
+    assert found.header.channel == {2: -4}
+    assert found.rows["G"].value[0].tolist() == [2e7, 1e8, 2e7, 8e7]
+
+
+def test_a_satellite_twice_in_an_epoch_counts_once(tmp_path: Path) -> None:
+    twice = rinex_epoch(2.0, rinex_satellite("G05", 2e7), rinex_satellite("G07", 2e7), rinex_satellite("G05", 3e7))
+    found = read_observations(written(tmp_path, RINEX + twice))
+    assert found.rows["G"].satellite.tolist() == [5, 7, 5, 5, 7]
+    assert found.rows["G"].column("C1C")[3] == 2e7
+    assert found.note == "1 rows left out of satellites that their epochs have already"
 
 
 def test_a_cut_file_gives_whole_epochs(tmp_path: Path) -> None:

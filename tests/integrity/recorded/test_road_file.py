@@ -78,10 +78,6 @@ def test_names_vertices_and_what_is_left_out(tmp_path) -> None:
         (json.dumps({"type": "FeatureCollection", "features": [line([[1.0, 2.0]])]}), "must have two vertices, got 1"),
         (json.dumps({"type": "FeatureCollection", "features": [line([[1, 2], [1, 95]])]}), "vertex 1 must be long"),
         (
-            json.dumps({"type": "FeatureCollection", "features": [line(PLACES, maxspeed="900")]}),
-            r"maxspeed must lie in \(0, 360\] km/h, got 900",
-        ),
-        (
             json.dumps({"type": "FeatureCollection", "features": [], "crs": {"properties": {"name": "EPSG:25833"}}}),
             "must have coordinates in longitude and latitude .*25833",
         ),
@@ -94,6 +90,26 @@ def test_refusals_say_what_is_wrong(tmp_path, text, message) -> None:
         read_roads(path)
     with pytest.raises(InputError, match="map must be a file that can be read"):
         read_roads(tmp_path / "none.geojson")
+
+
+def test_single_bad_ways_and_limits_are_left_out_and_counted(tmp_path) -> None:
+    good = [line(PLACES, name=f"w{k}") for k in range(9)]
+    bad = line([[13.0, 52.0], [13.0, 99.0]])
+    found = read_roads(collection(tmp_path / "map.geojson", *good, bad))
+    assert (len(found.lines), found.malformed, found.limits) == (9, 1, 0)
+    assert "feature 9: vertex 1 must be longitude" in found.first
+    with pytest.raises(InputError, match=r"vertex 1 .* \(2 of 11 ways of the file are malformed\)"):
+        read_roads(collection(tmp_path / "map.geojson", *good, bad, bad))
+    for limit in (0, "0", "-30", "900"):
+        slow = read_roads(collection(tmp_path / "map.geojson", line(PLACES, maxspeed=limit)))
+        assert slow.lines[0].limit_mps == pytest.approx(50 / 3.6)
+        assert slow.limits == 1
+
+
+def test_a_map_with_a_byte_order_mark(tmp_path) -> None:
+    path = collection(tmp_path / "map.geojson", line(PLACES, name="a"))
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert read_roads(path).lines[0].name == "a"
 
 
 def test_damaged_files_are_refused_and_nothing_else(tmp_path) -> None:

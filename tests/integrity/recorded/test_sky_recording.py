@@ -10,7 +10,7 @@ import pytest
 from recordings import SKY
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.sky_recording import SkyRecording, read_sky_recording
+from lanebound.integrity.recorded.sky_recording import HEAD, SkyRecording, read_sky_recording
 from lanebound.integrity.sky.visibility import SignalPath
 
 
@@ -91,3 +91,21 @@ def test_what_decides_names_a_recording(tmp_path: Path) -> None:
     plain = read_sky_recording(written(tmp_path)).digest
     assert read_sky_recording(written(tmp_path, SKY.replace("35.25", "35.26"))).digest != plain
     assert read_sky_recording(written(tmp_path, SKY.replace("20.00", "21.00"))).digest != plain
+
+
+def test_angles_in_radians_and_a_part_without_rows_are_refused(tmp_path: Path) -> None:
+    def text(azimuth: float, elevation: float, missing: tuple[int, int] = (0, 0)) -> str:
+        rows = [f"G01,{5 * k + 2.5},{azimuth + 0.01 * k:.3f},{elevation:.3f},los,0.0,45.0" for k in range(60)
+                if not missing[0] < k < missing[1]]  # fmt: skip
+        return "\n".join(["# length_m=300.00", HEAD, *rows, ""])
+
+    for given, message in (
+        (text(200.0, 0.7), "elevations of .* must be in degrees, the largest of 60 is 0.7"),
+        (text(2.0, 40.0), "azimuths of .* must be in degrees, the largest of 60 is 2.59"),
+        (text(200.0, 40.0, (10, 40)), r"must have rows along the whole drive, has none between 52\.5 and 202\.5 m"),
+    ):
+        (tmp_path / "sky.csv").write_text(given)
+        with pytest.raises(InputError, match=message):
+            read_sky_recording(tmp_path / "sky.csv")
+    (tmp_path / "sky.csv").write_text(text(200.0, 40.0, (10, 20)))
+    assert read_sky_recording(tmp_path / "sky.csv").arc_m.size == 51

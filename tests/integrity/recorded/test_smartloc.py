@@ -75,6 +75,16 @@ def test_raw_signals(tmp_path: Path) -> None:
     assert raw.week.tolist() == [1900] * 3
 
 
+def test_signals_that_go_back_in_time_are_left_out_and_counted(tmp_path: Path) -> None:
+    head, *rows = RAW.splitlines()
+    later = [rows[-1].replace("126641.7", f"{126642 + 0.2 * k:.1f}") for k in range(30)]
+    text = "\n".join([head, *rows, *later[:10], rows[0], *later[10:], ""])
+    raw = read_smartloc_raw(written(tmp_path, text))
+    assert raw.tow_s.size == len(rows) + 30
+    assert (np.diff(raw.tow_s) >= 0.0).all()
+    assert raw.timing.note == "1 of 34 rows left out that are not later than one before"
+
+
 def test_raw_damage_is_named_and_a_cut_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="line 2, column 'gnss identifier' must be one of"):
         read_smartloc_raw(written(tmp_path, RAW.replace("GPS;12", "XYZ;12")))

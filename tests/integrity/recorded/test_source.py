@@ -9,6 +9,7 @@ import pytest
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.source import Lines, finite_number, whole_number
+from lanebound.integrity.sky.rinex_navigation import read_navigation
 
 
 def test_plain_and_compressed_lines_are_the_same(tmp_path: Path) -> None:
@@ -73,3 +74,16 @@ def test_numbers_are_refused_with_what_was_expected(text: str) -> None:
 def test_numbers_within_bounds() -> None:
     assert whole_number(" 7", 0, 10) == 7
     assert finite_number("1e-3 ") == 1e-3
+
+
+@pytest.mark.parametrize(("start", "what", "program"), [
+    (b"\x1f\x9d\x90", r"compressed by compress \(\.Z\)", "gzip -d"), (b"PK\x03\x04", "a zip archive", "unzip"),
+    (b"BZh9", "compressed by bzip2", "bzip2 -d"), (b"\xfd7zXZ\0", "compressed by xz", "xz -d"),
+    ("\ufeffa".encode("utf-16-le"), "UTF-16 text", "iconv"),
+])  # fmt: skip
+def test_other_packings_are_named_with_what_unpacks_them(tmp_path: Path, start: bytes, what: str, program: str) -> None:
+    path = tmp_path / "file.obs"
+    path.write_bytes(start + bytes(200))
+    for read in (lambda: list(Lines(path)), lambda: read_navigation(path)):
+        with pytest.raises(InputError, match=f"must be plain text or gzip, is {what}: unpack it with '{program}"):
+            read()

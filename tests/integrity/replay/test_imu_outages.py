@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import struct
+from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,13 +14,15 @@ import pytest
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic, geodetic_from_ecef
-from lanebound.integrity.recorded.imu_log import G_MPS2, read_imu_log, read_solution_track
+from lanebound.integrity.recorded.imu_log import G_MPS2, read_imu_log
+from lanebound.integrity.recorded.rtklib import read_rtk_solution
 from lanebound.integrity.replay.datasets import kind_of, replay_folder
 from lanebound.integrity.replay.imu_outages import ImuOutageConfig, motion_of_log, run_inertial_outages
 
 START = 1_751_999_658.0
 ROLL, PITCH, AZIMUTH = np.deg2rad([2.0, -4.0, 170.0]).tolist()
 LAG_S = 0.12
+Change = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 HOME = np.deg2rad([40.0966, -105.1474]), 1600.0
 
 
@@ -34,11 +39,26 @@ def _drive(length_s: float, jump_mps2: float = 0.0) -> dict[str, np.ndarray]:
     force = np.stack([np.gradient(speed, t) + G_MPS2 * np.sin(slope), speed * yaw, -G_MPS2 * np.cos(slope)], -1)
     force[:, 0] += 0.05 + jump_mps2 * (t > length_s * 2 / 3)
     rate = np.stack([0.0 * t, np.gradient(slope, t), yaw], -1) + np.deg2rad([0.3, -0.2, 0.25])
-    return {"t": t, "speed": speed, "heading": heading, "east": east, "north": north, "force": force, "rate": rate}
+    return {
+        "t": t,
+        "speed": speed,
+        "heading": heading,
+        "east": east,
+        "north": north,
+        "force": force,
+        "rate": rate,
+        "slope": slope,
+    }
 
 
-def _write(folder: Path, length_s: float = 180.0, end: str = "\n", **given: float) -> Path:
-    """The files of a drive; the sensor's x axis points backward, and its time stamps are late by ``LAG_S``."""
+def _write(
+    folder: Path, length_s: float = 180.0, end: str = "\n", change: Change | None = None, late_s: float = LAG_S,
+    gap_s: tuple[float, float] = (0.0, 0.0), **given: float,
+) -> Path:  # fmt: skip
+    """The files of a drive; the sensor's x axis points backward, and its time stamps are late by ``late_s``.
+
+    ``change`` is done to force and rate (N, 3) as the log has them; rows in ``gap_s`` are missing.
+    """
     d, rng = _drive(length_s, **given), np.random.default_rng(5)
     (cr, sr), (cp, sp), (ca, sa) = ((np.cos(a), np.sin(a)) for a in (ROLL, PITCH, AZIMUTH))
     tilt = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])  # sensor to level
@@ -46,12 +66,15 @@ def _write(folder: Path, length_s: float = 180.0, end: str = "\n", **given: floa
     sign = np.array([1.0, -1.0, -1.0])
     force = sign * (d["force"] @ turn @ tilt) / G_MPS2 + 2e-3 * rng.standard_normal(d["force"].shape)
     rate = sign * np.rad2deg(d["rate"] @ turn @ tilt) + 0.3 * rng.standard_normal(d["rate"].shape)
+    force, rate = (force, rate) if change is None else change(force, rate)
     body, tags = b"", []
     for n in range(d["t"].size):
+        if gap_s[0] < d["t"][n] < gap_s[1]:
+            continue
         row = ",".join(f"{v:.5f}" for v in (*force[n], *rate[n]))
         body += f"{row},{261_906 + round(1000 * d['t'][n])}{end}".encode()
         if n % 10 == 9:
-            tags.append((round(1000 * (d["t"][n] + LAG_S)), len(body)))
+            tags.append((round(1000 * (d["t"][n] + late_s)), len(body)))
     (folder / "imu_1834.csv").write_bytes(body)
     head = b"TIMETAG RTKLIB".ljust(60, b"\0") + struct.pack("<IId", 77, int(START), 0.0)
     (folder / "imu_1834.csv.tag").write_bytes(head + b"".join(struct.pack("<II", *tag) for tag in tags))
@@ -70,7 +93,7 @@ def _solution(d: dict[str, np.ndarray]) -> list[str]:
         north, east = d["speed"][n] * np.cos(d["heading"][n]), d["speed"][n] * np.sin(d["heading"][n])
         lines.append(
             f"{when} {np.rad2deg(place[0]):.9f} {np.rad2deg(place[1]):.9f} {place[2]:.4f} 1 21 0.01 0.01 0.01 "
-            f"0 0 0 0 0 {north:.4f} {east:.4f} 0.0 0.04 0.04 0.04"
+            f"0 0 0 0 0 {north:.4f} {east:.4f} {d['speed'][n] * np.tan(d['slope'][n]):.4f} 0.04 0.04 0.04"
         )
     return lines
 
@@ -81,7 +104,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _read(folder: Path):
-    return read_imu_log(folder / "imu_1834.csv"), read_solution_track(folder / "gnss_1834.pos")
+    return read_imu_log(folder / "imu_1834.csv"), read_rtk_solution(folder / "gnss_1834.pos")
 
 
 def test_mount_lag_and_biases_are_found(folder: Path) -> None:
@@ -139,3 +162,50 @@ def test_old_velocities_are_not_used(folder: Path, tmp_path: Path) -> None:
     at = motion.time_s + 0.5
     assert not motion.known[(at > 100.3) & (at < 104.7)].any()
     assert motion.known[(at > 20.0) & (at < 99.0)].all()
+
+
+def test_outages_at_a_gap_are_left_out_and_counted(tmp_path: Path, folder: Path) -> None:
+    config = ImuOutageConfig()
+    whole = run_inertial_outages(motion_of_log(*_read(folder), config)[0], config)
+    found, _ = replay_folder(_write(tmp_path, gap_s=(120.0, 130.0)), tmp_path / "out")
+    start = whole.start_s + 0.5  # the first epoch is 0.5 s after the start of the log
+    touching = (start + config.longest_s > 120.0) & (start - config.settle_s < 130.0)
+    assert found["outages"] + found["left_out_at_gaps"] == whole.start_s.size
+    assert touching.sum() <= found["left_out_at_gaps"] <= touching.sum() + 2  # the lag widens the gap
+    assert found["stopped"] == {"imu_1834.csv": "1 gap, the longest of 10.00 s"}
+    assert [found["all_ages"][axis]["exceeded"] for axis in ("at", "ct")] == [0, 0]
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda f, w: (f, np.radians(w)), r"yaw rate of the log .* slope on it is 0\.017.* correlation 1.*in rad/s, not"),
+    (lambda f, w: (f, w * [1, 1, -1]), r"yaw rate of the log .* slope on it is -\d.*: its sign is reversed"),
+    (lambda f, w: (f, w[:, [2, 0, 1]]), "another axis"),
+    (lambda f, w: (f, w * [1, -1, 1]), "with one axis of the gyro or the accelerometer mirrored"),
+    (lambda f, w: (f * [-1, -1, 1], w), "with one axis of the gyro or the accelerometer mirrored"),
+    (lambda f, w: (f * G_MPS2, w), r"mean force of 96.* it is probably in m/s\^2, not in g"),
+    (lambda f, w: (f * [1, -1, 1], w), "with one axis of the accelerometer mirrored its correlation .* rises"),
+    (lambda f, w: (f * [1, 1, -1], w), "its sign is reversed"),  # a sensor upside down has all its axes turned
+])  # fmt: skip
+def test_units_signs_and_axes_that_contradict_the_solution_are_refused(
+    tmp_path: Path, change: Change, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        replay_folder(_write(tmp_path, 120.0, change=change), tmp_path / "out")
+
+
+@pytest.mark.parametrize("late_s", [0.56, 1.12, 18.0])
+def test_a_lag_beyond_the_search_is_refused(tmp_path: Path, late_s: float) -> None:
+    with pytest.raises(InputError, match="clocks of the log and of the reference must agree") as refusal:
+        replay_folder(_write(tmp_path, 150.0, late_s=late_s), tmp_path / "out")
+    named = re.search(r"comes ([+-][\d.]+) s later", str(refusal.value))
+    assert named is not None
+    assert float(named[1]) == pytest.approx(late_s, abs=0.1)
+
+
+@pytest.mark.parametrize(("factor", "likely"), [(3.6, "km/h"), (1.94384, "knots"), (-1.0, "sign is reversed")])
+def test_velocities_of_the_solution_in_another_unit_are_refused(folder: Path, factor: float, likely: str) -> None:
+    log, track = _read(folder)
+    with pytest.raises(InputError, match=f"the solution's velocities .*{likely}"):
+        motion_of_log(log, replace(track, velocity_neu_mps=factor * track.velocity_neu_mps), ImuOutageConfig())
+    with pytest.raises(InputError, match="must have velocities in all rows, has none in some: set out-outvel"):
+        motion_of_log(log, replace(track, velocity_neu_mps=None), ImuOutageConfig())

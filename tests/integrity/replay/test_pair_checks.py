@@ -57,6 +57,24 @@ def command(folder: Path, out: Path, base: np.ndarray, rover: np.ndarray, *more:
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
+@pytest.mark.parametrize(("behind_s", "scale"), [
+    (14.0, "BDT without its label; write BDT into columns 49 to 51"), (18.0, "UTC; convert"),
+    (18.0 - 10_800.0, "GLONASS time; convert"), (-14.0, "GPS time with the label BDT"), (-18.0, "seconds added twice"),
+])  # fmt: skip
+@pytest.mark.parametrize("which", ["rover", "base"])
+def test_times_in_another_scale_are_refused_and_the_scale_named(
+    folder: Path, tmp_path: Path, which: str, behind_s: float, scale: str
+) -> None:
+    files = {name: folder / f"{name}.obs" for name in ("rover", "base")}
+    data = read_observations(files[which])
+    files[which] = tmp_path / "late.obs"
+    files[which].write_text(observation_text(replace(data, tow_s=data.tow_s - behind_s)))
+    with pytest.raises(
+        InputError, match=rf"times of the {which} must be GPS time, .* times \{behind_s:+g} s later: .*{scale}"
+    ):
+        run_baseline(files["rover"], files["base"], [folder / "base.nav"], tmp_path / "out", base_ecef_m=PLACE)
+
+
 def test_a_true_position_of_a_rover_that_moves_is_refused(folder: Path, tmp_path: Path) -> None:
     """A car goes 140 m: nine tenths of its places lie within 70 m of the middle."""
     assert solve(folder, tmp_path, "car")["epochs"] == 8

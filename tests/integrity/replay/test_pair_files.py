@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,6 +50,24 @@ def test_names_come_before_motion(folder: Path) -> None:
     put(folder, "ref.rnx", 20.0, 2)
     pair = find_pair(folder)
     assert (pair.rover.name, pair.base.name) == ("rover_1.24O", "ref.rnx")
+
+
+def test_packed_files_of_a_pair_are_named_and_other_archives_left_alone(folder: Path) -> None:
+    put(folder, "rover_1.24O", 0.0, 1)
+    put(folder, "ref.rnx", 20.0, 2)
+    (folder / "photos.zip").write_bytes(b"PK\x03\x04")
+    assert find_pair(folder).rover.name == "rover_1.24O"
+    for name, head in (("C.24O.Z", b"\x1f\x9d\x90"), ("C.obs.zip", b"PK\x03\x04")):
+        (folder / name).write_bytes(head)
+        with pytest.raises(InputError, match=f"{name} must be plain text or gzip, is .*: unpack it"):
+            find_pair(folder)
+        (folder / name).unlink()
+    line = f"{'3.0                 COMPACT RINEX FORMAT':<60}CRINEX VERS   / TYPE\n".encode()
+    for name, body in (("C.24d", line), ("C.crx.gz", gzip.compress(line))):
+        (folder / name).write_bytes(body)
+        with pytest.raises(InputError, match=f"{name} must be a plain RINEX file: it is Hatanaka-compressed .*crx2rnx"):
+            find_pair(folder)
+        (folder / name).unlink()
 
 
 def test_two_receivers_at_rest_are_named_in_the_refusal(folder: Path) -> None:

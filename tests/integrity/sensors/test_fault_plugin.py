@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +22,10 @@ from lanebound.integrity.sensors.faults import Fault
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
 
-withdraw_fault("clock_jump")  # each test registers it anew
-
 
 @pytest.fixture(autouse=True)
-def _registered() -> Iterator[None]:
+def _registered() -> None:
     register_fault(CLOCK_JUMP)
-    yield
-    withdraw_fault("clock_jump")
 
 
 def test_an_environment_drives_with_the_fault_and_measurements_show_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,7 +83,6 @@ def test_random_faults_draw_it_after_the_kinds_of_the_package() -> None:
     assert all(10.0 <= abs(fault.magnitude) <= 1000.0 for fault in jumps)
     withdraw_fault("clock_jump")
     others = random_campaign(FaultPriors(), 2e6, named_generator(1, "faults"), sky)
-    register_fault(CLOCK_JUMP)
     assert [fault for fault in drawn if fault not in jumps] == list(others)
 
 
@@ -111,11 +105,9 @@ def test_it_is_unknown_once_it_is_removed() -> None:
     withdraw_fault("clock_jump")
     with pytest.raises(ConfigError, match="kind must be one of"):
         Fault(kind="clock_jump", magnitude=1.0)
-    register_fault(CLOCK_JUMP)
 
 
 def test_a_size_in_the_wrong_field_is_refused_with_the_right_one() -> None:
-    register_fault(CLOCK_JUMP)
     with pytest.raises(ConfigError, match=r"clock_jump has no magnitude_m: give its size as magnitude \[ns\]$"):
         Fault.load({"kind": "clock_jump", "magnitude_m": 20.0})
     with pytest.raises(

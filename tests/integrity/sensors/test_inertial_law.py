@@ -110,3 +110,24 @@ def test_bad_logs_are_refused(tmp_path):
     log.write_text("time_s,accel_mps2\n" + "0,x\n" * 20)
     with pytest.raises(InputError, match="must hold numbers"):
         read_static_log(log)
+
+
+def test_a_static_log_in_other_clothes_and_its_times(tmp_path):
+    time, log = 0.1 * np.arange(3000), tmp_path / "log.csv"
+
+    def written(times, head="time_s,a", separator=",", end="\n"):
+        lines = [head.replace(",", separator), *(f"{t:.4f}{separator}{0.001 * k:.4f}" for k, t in enumerate(times))]
+        log.write_bytes(b"\xef\xbb\xbf" + (end.join(lines) + end).encode())
+        return read_static_log(log)
+
+    for separator, end in ((",", "\r\n"), (";", "\n"), ("\t", "\n")):
+        found, columns, note = written(time, separator=separator, end=end)
+        np.testing.assert_allclose(found, time, atol=1e-4)
+        assert (list(columns), note) == (["a"], "")
+    found, columns, note = written(np.concatenate([time[:100], time[50:52], time[130:]]))
+    assert columns["a"].size == found.size == 2970
+    assert note == "2 of 2972 rows left out that are not later than one before; 1 gap, the longest of 3.10 s"
+    with pytest.raises(InputError, match="must have times that increase, 2999 of 3000 rows go back"):
+        written(time[::-1])
+    with pytest.raises(InputError, match="must have its times in s, they are 100 apart: are they in ms"):
+        written(1000.0 * time)

@@ -35,6 +35,28 @@ def test_exceedances_of_isotropic_errors_in_a_circular_geometry_equal_the_risk(h
     assert low <= beyond <= high
 
 
+def test_the_published_level_is_k_r_hdop_and_the_exact_one_has_the_largest_deviation() -> None:
+    """S3 eq 15 by a plain solution of one epoch, weights of 1 m."""
+    epochs, risk = quiet(50, 8, 1, 5), np.array([1e-3])
+    exact, published = (
+        watch(epochs, monitor_named(name).config({"vertical": True}), 1e-3) for name in ("ibpl", "ibpl_published")
+    )
+    for e in range(50):
+        sigma = epochs.sigma_m[e]
+        design = np.column_stack([-epochs.los_enu[e], np.ones(8)]) / sigma[:, None]
+        cov = np.linalg.inv(design.T @ design)
+        whitened = epochs.y_m[e] / sigma
+        residual = whitened - design @ (cov @ design.T @ whitened)
+        k = isotropic_factor(np.array([8 - 4]), risk)[0, 0]
+        hdop, major = np.sqrt(np.trace(cov[:2, :2])), np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1])
+        assert published.hpl_m[e, 0] == pytest.approx(k * np.linalg.norm(residual) * hdop, rel=1e-9)
+        assert exact.hpl_m[e, 0] == pytest.approx(k * np.linalg.norm(residual) * major, rel=1e-9)
+    ratio = exact.hpl_m / published.hpl_m
+    assert (ratio >= np.sqrt(0.5) - 1e-12).all()
+    assert (ratio < 1.0).all()
+    np.testing.assert_array_equal(exact.vpl_m, published.vpl_m)
+
+
 def test_the_level_is_conservative_in_other_geometries() -> None:
     found = watch(quiet(20_000, 8, 1, 5), monitor_named("ibpl").config(), 0.01)
     beyond = (np.hypot(*found.position_enu_m[:, :2].T) > found.hpl_m[:, 0]).mean()

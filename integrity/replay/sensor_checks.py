@@ -1,0 +1,197 @@
+"""Sensors of a recorded drive against its reference, alike for all recordings: unit, sign, axis and lag.
+
+The sensed value is regressed on the reference's, which has errors of its own. They pull the slope towards 0, so that
+the true one lies between the slope and slope / correlation^2 (Frisch 1934, "Statistical confluence analysis"). A slope
+that cannot be near 1 is a unit or a sign; a strong motion that the sensor does not follow is another axis or drive. A
+drive with too little motion proves nothing, which the result says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.errors import InputError
+
+__all__ = [
+    "ACCELERATION", "CLEARLY", "LAG_S", "LEAST_CORRELATION", "PITCH_RATE", "SPEED", "YAW_RATE", "Agreement", "Quantity",
+    "correlation", "likely_unit", "require_agreement", "require_lag", "require_same_times",
+]  # fmt: skip
+
+Array = NDArray[np.float64]
+
+SLOPES = (
+    0.75,
+    1.3,
+)  # of a sensor in its unit; wheels and gyros are good to some percent, slopes of roads add to forces
+LEAST_CORRELATION = 0.5  # of a sensor that follows a motion
+LASTING_S = 1.0  # errors of a reference last as long
+SURE = 3.0  # deviations
+LEAST_DEAD = 100  # equal values of a sensor without a signal
+LIKE = 0.1  # relative, of the slope of a unit
+LAG_S, LAG_STEP_S, LONGEST_LAG_S = 0.5, 0.01, 20.0
+NEARER = 3.0  # times nearer are positions whose times are right
+SURE_CORRELATION, CLEARLY = 0.7, 0.2  # of a lag that needs no wider search, and by how much another must be better
+
+
+class Quantity(NamedTuple):
+    """A sensed quantity: name, units [SI], spread of a motion that a sensor must follow, whether it has a bias."""
+
+    name: str
+    units: Mapping[str, float]
+    strong: float
+    biased: bool
+
+
+YAW_RATE = Quantity(
+    "yaw rate",
+    {"rad/s": 1.0, "deg/s": math.pi / 180.0, "mrad/s": 1e-3, "mdeg/s": math.pi / 180e3, "deg/h": math.pi / 648e3},
+    math.radians(3.0), True,
+)  # fmt: skip
+PITCH_RATE = YAW_RATE._replace(name="pitch rate", strong=math.inf)  # springs move a car more than slopes do
+SPEED = Quantity(
+    "speed",
+    {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "knots": 0.514444, "ft/s": 0.3048, "cm/s": 0.01, "mm/s": 1e-3},
+    2.0, False,
+)  # fmt: skip
+ACCELERATION = Quantity(
+    "acceleration",
+    {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3, "cm/s^2": 0.01, "mm/s^2": 1e-3, "ft/s^2": 0.3048}, 0.7, True,
+)  # fmt: skip
+"""A spread of 0.7 m/s^2 is that of braking and of bends; slopes of the road add to what a sensor feels."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Slope of sensed on reference, their correlation, whether the motion was strong enough to prove anything, and the
+    lag behind the reference at which they were compared [s]."""
+
+    slope: float
+    correlation: float
+    tested: bool
+    lag_s: float = 0.0
+
+    def figures(self) -> dict[str, Any]:
+        """As JSON data."""
+        return asdict(self)
+
+
+def require_agreement(
+    quantity: Quantity, unit: str, where: str, reference: Array, sensed: Array, seconds: float
+) -> Agreement:
+    """How values (N,) of a sensor follow those of the reference over ``seconds``; both in SI, read as ``unit``.
+
+    Raises
+    ------
+    InputError
+        Slope or correlation show another unit, sign or axis; the message names the likely one.
+    """
+    pair = np.stack([reference, sensed])
+    if reference.size < 3:
+        return Agreement(1.0, 0.0, False)
+    centred = pair - pair.mean(1, keepdims=True)
+    (rr, rs), (_, ss) = (centred @ centred.T).tolist()
+    alike = rs / math.sqrt(rr * ss) if rr * ss > 0.0 else 0.0
+    if not quantity.biased:
+        (rr, rs), (_, ss) = (pair @ pair.T).tolist()
+    slope = rs / rr if rr > 0.0 else 1.0
+    fit2 = min(rs * rs / (rr * ss), 1.0) if rr * ss > 0.0 else 0.0
+    spread = math.sqrt((1.0 - fit2) * ss / rr / max(seconds / LASTING_S, 1.0)) if rr > 0.0 else math.inf
+    strong = math.sqrt(rr / reference.size) >= quantity.strong
+    follows = fit2 >= LEAST_CORRELATION**2
+    low, high = max(abs(slope) - SURE * spread, 0.0), (abs(slope) + SURE * spread) / max(fit2, 1e-9)
+    wrong = slope < 0.0 or low > SLOPES[1] or high < SLOPES[0]
+    dead = quantity.biased and ss == 0.0 and reference.size >= LEAST_DEAD  # even at rest a gyro has noise
+    if (follows and wrong) or (strong and not follows) or dead:
+        raise InputError(
+            f"{quantity.name} of {where} must follow the reference, the slope on it is {slope:.3g} and the correlation "
+            f"{alike:.2f}: {_likely(quantity, unit, slope, (low, high), follows)}"
+        )
+    return Agreement(slope, alike, follows)
+
+
+def _likely(quantity: Quantity, unit: str, slope: float, bounds: tuple[float, float], follows: bool) -> str:
+    """What a slope says of the columns, as a remedy."""
+    if not follows:
+        return "it is probably another axis, another drive, or a sensor without a signal; correct the columns"
+    found = likely_unit(quantity, unit, *bounds)
+    sign = "its sign is reversed" if slope < 0.0 else ""
+    scale = f"it is probably in {found}, not in {unit}" if found is not None else ""
+    if found is None and (bounds[1] < SLOPES[0] or bounds[0] > SLOPES[1]):
+        return "no usual unit explains its size, it is probably another axis or drive; correct the columns"
+    return f"{' and '.join(text for text in (sign, scale) if text)}; convert the column"
+
+
+def likely_unit(quantity: Quantity, unit: str, low: float, high: float) -> str | None:
+    """The unit of values that are by a factor between ``low`` and ``high`` too large when read as ``unit``, None where
+    no usual one or ``unit`` itself is."""
+    factors = {name: quantity.units[unit] / size for name, size in quantity.units.items()}
+    fits = {name for name, factor in factors.items() if low / (1.0 + LIKE) <= factor <= high * (1.0 + LIKE)}
+    middle = math.log(max(low * high, 1e-24)) / 2.0
+    return None if unit in fits or not fits else min(fits, key=lambda name: abs(math.log(factors[name]) - middle))
+
+
+def require_lag(
+    where: str, reference: Array, sensed: Callable[[float], Array], quantity: Quantity
+) -> tuple[float, Array]:
+    """Lag of a sensor behind the reference [s] at which they are alike most, of either sign, and its values (N,) there.
+
+    reference (N,); ``sensed`` gives values (N,) at the times of the reference plus a lag. Without a motion that shows
+    a lag it is 0.
+
+    Raises
+    ------
+    InputError
+        They are more alike beyond the search, or its edge is best: clocks differ; the message names by how much.
+    """
+    if float(np.std(reference)) < quantity.strong:
+        return 0.0, sensed(0.0)
+    lags = np.arange(-LAG_S, LAG_S + 0.5 * LAG_STEP_S, LAG_STEP_S)
+    near = [abs(correlation(reference, sensed(float(lag)))) for lag in lags]
+    best = int(np.argmax(near))
+    at_edge = best in (0, lags.size - 1)
+    if at_edge or near[best] < SURE_CORRELATION:
+        far = np.arange(-LONGEST_LAG_S, LONGEST_LAG_S + 0.05, 0.02)
+        wide = [abs(correlation(reference, sensed(float(lag)))) for lag in far]
+        k = int(np.argmax(wide))
+        if abs(far[k]) >= LAG_S and wide[k] >= LEAST_CORRELATION and (at_edge or wide[k] > near[best] + CLEARLY):
+            raise InputError(
+                f"clocks of {where} and of the reference must agree within {LAG_S:g} s, the {quantity.name} of the "
+                f"reference comes {far[k]:+.2f} s later in {where} (correlation {wide[k]:.2f}): is one in UTC and one "
+                "in GPS time? Correct the times of one of them"
+            )
+    return float(lags[best]), sensed(float(lags[best]))
+
+
+def require_same_times(where: str, time_s: Array, place_m: Array, true_s: Array, true_m: Array) -> None:
+    """Raise InputError where positions (T, 3) are nearer to the reference (N, 3) at times LAG_S or more away."""
+    lags = np.arange(-LONGEST_LAG_S, LONGEST_LAG_S + 0.05, 0.1)
+
+    def away_m(lag_s: float) -> float:
+        at = time_s + lag_s
+        inside = (at >= true_s[0]) & (at <= true_s[-1])
+        if 2 * inside.sum() < time_s.size:
+            return math.inf
+        there = np.stack([np.interp(at[inside], true_s, column) for column in true_m.T], -1)
+        return float(np.median(np.linalg.norm(there - place_m[inside], axis=-1)))
+
+    now, found = away_m(0.0), np.array([away_m(float(lag)) for lag in lags])
+    k = int(np.argmin(found))
+    if abs(lags[k]) >= LAG_S and found[k] < now / NEARER and now < math.inf:
+        raise InputError(
+            f"times of {where} and of the reference must agree within {LAG_S:g} s, positions are {now:.1f} m apart and "
+            f"{found[k]:.1f} m with times {lags[k]:+.1f} s later: is one in UTC and one in GPS time? Correct the times "
+            "of one of them, or the head (out-timesys)"
+        )
+
+
+def correlation(first: Array, second: Array) -> float:
+    """Correlation of two series (N,), 0 where one is constant."""
+    a, b = first - first.mean(), second - second.mean()
+    size = math.sqrt(float((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0.0 else 0.0
