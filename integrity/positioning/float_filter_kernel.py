@@ -42,7 +42,7 @@ from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3
 from lanebound.integrity.positioning.rtk_kernel import Carriers, first_wavelength, obliquity, owner_of
 
 __all__ = [
-    "FILTER_ROW", "MEASURED", "SLOT", "STATES", "Filters", "add_epoch", "assign_slots", "drop_slot",
+    "FILTER_ROW", "MEASURED", "SLOT", "STATES", "FloatFilters", "add_epoch", "assign_slots", "drop_slot",
     "fade", "filter_of", "filtered_ambiguities", "find_searchable", "follows", "invert_positive",
 ]  # fmt: skip
 
@@ -78,7 +78,7 @@ FILTER_ROW = record(
 """What it stores of one vehicle."""
 
 
-class Filters(NamedTuple):
+class FloatFilters(NamedTuple):
     """Filters of B vehicles, or, without the first axis, of one; n = 3 K + 1 states, 3 K + 4 of a receiver that stands.
 
     slots (B, K) of SLOT; normal (B, n, n), rhs (B, n); spread (B, n, n), the S of the module; memory (B, 4 K, n), its W
@@ -108,15 +108,15 @@ MEASUREMENT = record(
 
 
 @jit
-def filter_of(filters: Filters | None, v: int) -> Filters | None:
+def filter_of(filters: FloatFilters | None, v: int) -> FloatFilters | None:
     """The filter of vehicle v; None where floats come from single epochs."""
     if filters is None:
         return None
-    return Filters(filters.slots[v], filters.normal[v], filters.rhs[v], filters.spread[v], filters.memory[v])
+    return FloatFilters(filters.slots[v], filters.normal[v], filters.rhs[v], filters.spread[v], filters.memory[v])
 
 
 @jit
-def stands(own: Filters) -> bool:
+def stands(own: FloatFilters) -> bool:
     """Whether the position is a state of the filter."""
     return bool(own.rhs.shape[0] > STATES * own.slots.shape[0] + 1)
 
@@ -155,7 +155,7 @@ def find_searchable(candidate: Bools, satellites: Records, ambiguities: Records,
 
 
 @jit
-def fade(own: Filters, gap_s: float, rules: Any) -> None:
+def fade(own: FloatFilters, gap_s: float, rules: Any) -> None:
     """Fade what is known by ``gap_s`` [s]; rules of RTK_RULES."""
     gamma = math.exp(-gap_s / rules.filter.memory)
     keep = gamma * math.exp(-gap_s / rules.filter.code_tau), gamma * math.exp(-gap_s / rules.filter.phase_tau)
@@ -177,7 +177,7 @@ def fade(own: Filters, gap_s: float, rules: Any) -> None:
 
 
 @jit
-def drop_slot(own: Filters, k: int, rules: Any) -> None:
+def drop_slot(own: FloatFilters, k: int, rules: Any) -> None:
     """Take the states of a slot out of the filter; what they tell of the other states stays (Schur complement)."""
     slots, normal, rhs, spread, memory = own
     n, sigma = rhs.shape[0], rules.filter.ionosphere
@@ -212,7 +212,9 @@ def drop_slot(own: Filters, k: int, rules: Any) -> None:
 
 
 @jit
-def assign_slots(own: Filters, carriers: Carriers, order: Ints, count: int, ambiguities: Records, rules: Any) -> None:
+def assign_slots(
+    own: FloatFilters, carriers: Carriers, order: Ints, count: int, ambiguities: Records, rules: Any
+) -> None:
     """Begin to follow satellites of ``order`` (count,), held ones first, further signals last, where a slot is free.
 
     A satellite gets the slot that it had before, if that is free: errors of its measurements may last.
@@ -251,7 +253,7 @@ def assign_slots(own: Filters, carriers: Carriers, order: Ints, count: int, ambi
 
 @jit
 def _measurements(
-    own: Filters, carriers: Carriers, variance_code: Array, coded: Bools, used: Bools, rules: Any
+    own: FloatFilters, carriers: Carriers, variance_code: Array, coded: Bools, used: Bools, rules: Any
 ) -> tuple[Records, int]:
     """The measurements of an epoch of all satellites that are followed and used, and their number."""
     slots, most = own.slots, MEASURED * own.slots.shape[0]
@@ -320,7 +322,9 @@ def _projected(rows: Records, n: int, stands: bool, out: Array) -> bool:
 
 
 @jit
-def add_epoch(own: Filters, carriers: Carriers, variance_code: Array, coded: Bools, used: Bools, rules: Any) -> bool:
+def add_epoch(
+    own: FloatFilters, carriers: Carriers, variance_code: Array, coded: Bools, used: Bools, rules: Any
+) -> bool:
     """Add the measurements of an epoch; :func:`fade` comes before. False: too few satellites, nothing is added.
 
     variance_code (S,) of one band; coded, used (S,): whose code, and which satellites, are taken.
@@ -405,7 +409,9 @@ def invert_positive(matrix: Array, n: int, out: Array) -> bool:
 
 
 @jit
-def _references(own: Filters, carriers: Carriers, order: Ints, count: int, ambiguities: Records, out: Ints) -> None:
+def _references(
+    own: FloatFilters, carriers: Carriers, order: Ints, count: int, ambiguities: Records, out: Ints
+) -> None:
     """The slot in each system (MAX_GROUPS,) from which ambiguities count: a held one, or the most precise one."""
     slots, satellites = own.slots, carriers.satellites
     out[:] = -1
@@ -424,7 +430,7 @@ def _references(own: Filters, carriers: Carriers, order: Ints, count: int, ambig
 
 @jit
 def _unknowns(
-    own: Filters, carriers: Carriers, order: Ints, count: int, ambiguities: Records, reference: Ints, rules: Any,
+    own: FloatFilters, carriers: Carriers, order: Ints, count: int, ambiguities: Records, reference: Ints, rules: Any,
     owner: Ints, unknown: Ints, known: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """The states to estimate: fills ``unknown`` (n,), those of the candidates of ``order`` first, whose satellites are
@@ -471,7 +477,7 @@ def _unknowns(
 
 @jit
 def filtered_ambiguities(
-    carriers: Carriers, order: Ints, count: int, ambiguities: Records, own: Filters, rules: Any, ambiguity: Array,
+    carriers: Carriers, order: Ints, count: int, ambiguities: Records, own: FloatFilters, rules: Any, ambiguity: Array,
     q_a: Array, owner: Ints,
 ) -> int:  # fmt: skip
     """Float ambiguities of ``count`` satellites, all followed, and their covariance, as ``float_ambiguities`` does.

@@ -34,7 +34,7 @@ from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3, multiply_3
 from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, SEARCH_FAILED, TOO_FEW
 from lanebound.integrity.positioning.float_filter_kernel import (
-    Filters,
+    FloatFilters,
     filtered_ambiguities,
     find_searchable,
     invert_positive,
@@ -83,7 +83,7 @@ class FloatSource(NamedTuple):
     x: Array
     q: Array
     base: Records
-    own: Filters | None
+    own: FloatFilters | None
     filtered: bool
 
 
@@ -140,7 +140,12 @@ def base_of(carriers: Carriers, ambiguities: Records, bands: int) -> Records:
 
 @jit
 def float_solution(
-    carriers: Carriers, candidate: Bools, ambiguities: Records, source: FloatSource, own: Filters | None, rules: Any
+    carriers: Carriers,
+    candidate: Bools,
+    ambiguities: Records,
+    source: FloatSource,
+    own: FloatFilters | None,
+    rules: Any,
 ) -> Floats:
     """Float ambiguities of the most precise candidates, from the filter or from the position of everything else."""
     bands, most = rules.bands, rules.max_candidates
@@ -357,8 +362,8 @@ def attempt(
 
 @jit(inline=True)
 def resolve(
-    carriers: Carriers, candidate: Bools, ambiguities: Records, rules: Any, x: Array, q: Array, own: Filters | None,
-    filtered: bool, next_id: int,
+    carriers: Carriers, candidate: Bools, ambiguities: Records, rules: Any, x: Array, q: Array,
+    own: FloatFilters | None, filtered: bool, next_id: int,
 ) -> tuple[int, float]:  # fmt: skip
     """Fix the ambiguities of as many candidate satellites as the risk allows, and hold them.
 

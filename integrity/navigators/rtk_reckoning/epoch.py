@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
     from lanebound.integrity.navigators.services.stage import ServiceSet
 
-__all__ = ["STAGES", "EpochCall", "EpochStages", "Part", "carrier_stages"]
+__all__ = ["STAGES", "EpochCall", "EpochStages", "Listed", "carrier_stages"]
 
 MODES = "modes"
 """Place of the positioning modes in the table: those that the configuration names, in its order."""
@@ -32,7 +32,7 @@ NOT_PLAIN = {"floats", "drift", "wrong integers"}
 """Parts that :func:`~.epoch_kernel.locate` does without: they are for configurations and faults that ask for them."""
 
 
-class Part(NamedTuple):
+class Listed(NamedTuple):
     """A stage of the table: its name, what it is, what it reads and what it writes, and the function."""
 
     name: str
@@ -42,36 +42,36 @@ class Part(NamedTuple):
     stage: Stage
 
 
-STAGES: tuple[Part | Point | str, ...] = (
-    Part("begin", "clock", "dt", "clocks, empty work", kernels.begin),
+STAGES: tuple[Listed | Point | str, ...] = (
+    Listed("begin", "clock", "dt", "clocks, empty work", kernels.begin),
     Point.MEASURED,
-    Part("velocity", "estimator", "range rates", "velocity, faults.now", kernels.find_velocity),
+    Listed("velocity", "estimator", "range rates", "velocity, faults.now", kernels.find_velocity),
     Point.VELOCITY,
-    Part("heading", "estimator", "gyro, velocity, odometer", "heading, step, measured", kernels.find_attitude),
-    Part("carriers", "rtk", "phases, lock, C/N0", "marks, ambiguities.held", kernels.follow_carriers),
-    Part("floats", "rtk, sequential", "codes, phases", "filters", add_to_filter),
-    Part("integers", "rtk", "codes, phases, filters", "ambiguities, fixed.status", kernels.resolve_integers),
-    Part("wrong integers", "rtk, fault", "next_best", "integer_error", make_integers_wrong),
-    Part("fix", "rtk", "held phases", "fixed, fixed_levels", kernels.find_fixed_position),
+    Listed("heading", "estimator", "gyro, velocity, odometer", "heading, step, measured", kernels.find_attitude),
+    Listed("carriers", "rtk", "phases, lock, C/N0", "marks, ambiguities.held", kernels.follow_carriers),
+    Listed("floats", "rtk, sequential", "codes, phases", "filters", add_to_filter),
+    Listed("integers", "rtk", "codes, phases, filters", "ambiguities, fixed.status", kernels.resolve_integers),
+    Listed("wrong integers", "rtk, fault", "next_best", "integer_error", make_integers_wrong),
+    Listed("fix", "rtk", "held phases", "fixed, fixed_levels", kernels.find_fixed_position),
     Point.FIX,
     Point.ESTIMATED,
     MODES,
-    Part("stay", "mode", "mode", "growth", kernels.advance_nothing),
-    Part("separation", "monitor", "faults.now, step, run", "faults", kernels.separate_doppler),
-    Part("odometer", "monitor", "speed, accelerations, velocity", "watch, unbounded", kernels.watch_speeds),
-    Part("histories", "monitor", "position, both headings", "doubt", kernels.follow_histories),
+    Listed("stay", "mode", "mode", "growth", kernels.advance_nothing),
+    Listed("separation", "monitor", "faults.now, step, run", "faults", kernels.separate_doppler),
+    Listed("odometer", "monitor", "speed, accelerations, velocity", "watch, unbounded", kernels.watch_speeds),
+    Listed("histories", "monitor", "position, both headings", "doubt", kernels.follow_histories),
     Point.MOVED,
-    Part("levels", "bound", "growth, faults, starts", "levels", kernels.find_levels),
+    Listed("levels", "bound", "growth, faults, starts", "levels", kernels.find_levels),
     Point.OFFERED,
-    Part("drift", "monitor", "fixed, path", "drift, anchors, jump", watch_drift),
-    Part("jump", "monitor", "fixed, levels, backup", "accepted", kernels.judge_fix),
-    Part("heading doubt", "monitor", "fixed, both paths", "doubt, heading", kernels.judge_histories),
+    Listed("drift", "monitor", "fixed, path", "drift, anchors, jump", watch_drift),
+    Listed("jump", "monitor", "fixed, levels, backup", "accepted", kernels.judge_fix),
+    Listed("heading doubt", "monitor", "fixed, both paths", "doubt, heading", kernels.judge_histories),
     Point.JUDGED,
-    Part("take", "position", "accepted, fixed", "position, starts, growth", kernels.take_fix),
+    Listed("take", "position", "accepted, fixed", "position, starts, growth", kernels.take_fix),
     Point.TAKEN,
-    Part("widen", "monitor", "jump, fixed_levels", "levels", kernels.widen_levels),
+    Listed("widen", "monitor", "jump, fixed_levels", "levels", kernels.widen_levels),
     Point.BOUNDED,
-    Part("report", "output", "everything", "alert, out", kernels.report),
+    Listed("report", "output", "everything", "alert, out", kernels.report),
     Point.REPORTED,
 )
 
@@ -92,7 +92,7 @@ class EpochStages:
         left_out = set() if rtk.float_solution.kind == "sequential" else {"floats"}
         left_out |= set() if rtk.drift.anchors else {"drift"}
         if not services.with_rtk:
-            left_out |= {part.name for part in STAGES if isinstance(part, Part) and "rtk" in part.kind}
+            left_out |= {part.name for part in STAGES if isinstance(part, Listed) and "rtk" in part.kind}
             at[Point.FIX].clear()
         self._every = _listed(at, modes, left_out)
         self._faultless = _listed(at, modes, left_out | {"wrong integers"})
@@ -138,7 +138,7 @@ def _listed(at: Mapping[Point, list[Any]], modes: list[Any], left_out: set[str])
             found += at.get(part, [])
         elif part == MODES:
             found += modes
-        elif isinstance(part, Part) and part.name not in left_out:
+        elif isinstance(part, Listed) and part.name not in left_out:
             found.append(part.stage)
     return found
 
@@ -151,4 +151,4 @@ _ahead: Ahead | None = None  # of this process
 def carrier_stages(sequential: bool) -> list[Stage]:
     """The stages that follow carriers, resolve their integers and find the position by RTK."""
     left_out = {"wrong integers"} if sequential else {"wrong integers", "floats"}
-    return [p.stage for p in STAGES if isinstance(p, Part) and "rtk" in p.kind and p.name not in left_out]
+    return [p.stage for p in STAGES if isinstance(p, Listed) and "rtk" in p.kind and p.name not in left_out]

@@ -18,7 +18,7 @@ from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, UNRESOLVED
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Bools, Epoch
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import fill_rows, find_code_position
 from lanebound.integrity.positioning.float_filter_kernel import (
-    Filters,
+    FloatFilters,
     add_epoch,
     assign_slots,
     drop_slot,
@@ -93,7 +93,7 @@ def note_breaks(slots: Records, ambiguities: Records, marks: Records, signals: R
 
 
 @jit
-def drop_broken(own: Filters, satellites: Records, everything: bool, rules: Any) -> None:
+def drop_broken(own: FloatFilters, satellites: Records, everything: bool, rules: Any) -> None:
     """Take marked satellites, or all, out of the filter: before them their further signals."""
     slots = own.slots
     for k in range(slots.shape[0]):

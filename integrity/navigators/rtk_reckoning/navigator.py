@@ -32,7 +32,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
 from lanebound.integrity.navigators.services.stage import ServiceSet
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.drift_watch_kernel import ANCHOR
-from lanebound.integrity.positioning.float_filter_kernel import MEASURED, SLOT, STATES, Filters
+from lanebound.integrity.positioning.float_filter_kernel import MEASURED, SLOT, STATES, FloatFilters
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY
 from lanebound.integrity.sensors.finite import with_finite
@@ -141,7 +141,7 @@ def blank_state(batch: int, satellites: int, modes: int, cases: int, rtk: RtkCon
     )  # fmt: skip
 
 
-def blank_filters(batch: int, rtk: RtkConfig, stands: bool = False) -> Filters | None:
+def blank_filters(batch: int, rtk: RtkConfig, stands: bool = False) -> FloatFilters | None:
     """Filters of float ambiguities that know nothing; None where floats come from single epochs.
 
     ``stands``: the receivers do not move, and their position is a state of the filter.
@@ -150,7 +150,7 @@ def blank_filters(batch: int, rtk: RtkConfig, stands: bool = False) -> Filters |
         return None
     slots = rtk.max_candidates
     n = STATES * slots + (4 if stands else 1)
-    return Filters(
+    return FloatFilters(
         np.zeros((batch, slots), SLOT), np.zeros((batch, n, n)), np.zeros((batch, n)), np.zeros((batch, n, n)),
         np.zeros((batch, MEASURED * slots, n)),
     )  # fmt: skip

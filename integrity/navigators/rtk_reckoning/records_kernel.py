@@ -17,7 +17,7 @@ from lanebound.integrity.monitoring.heading_doubt_kernel import HEADING_DOUBT
 from lanebound.integrity.monitoring.heading_separation_kernel import COURSE, SPREAD
 from lanebound.integrity.monitoring.jump_kernel import JUMP
 from lanebound.integrity.positioning.drift_watch_kernel import DRIFT, DRIFT_RULES
-from lanebound.integrity.positioning.float_filter_kernel import FILTER_ROW, Filters
+from lanebound.integrity.positioning.float_filter_kernel import FILTER_ROW, FloatFilters
 from lanebound.integrity.positioning.heading_kernel import CALIBRATION, HEADING
 from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
 from lanebound.integrity.positioning.odometer_watch_kernel import ODOMETER_WATCH, WATCH_LIMITS
@@ -215,7 +215,7 @@ class State(NamedTuple):
     faults: Records
     starts: Records
     anchors: Records
-    filters: Filters | None
+    filters: FloatFilters | None
 
 
 # Work and outputs
@@ -333,7 +333,7 @@ class Epoch(NamedTuple):
     faults: Records
     starts: Records
     anchors: Records
-    filters: Filters | None
+    filters: FloatFilters | None
     signals: Records
     observed: Records
     work: Records

@@ -12,7 +12,7 @@ from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, Thresholds, detect_and_exclude
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Bools, Epoch
 from lanebound.integrity.positioning.codes_kernel import FIXED, NO_CORRECTIONS, NOT_CONVERGED, RATIO_FAILED
-from lanebound.integrity.positioning.float_filter_kernel import Filters, filter_of
+from lanebound.integrity.positioning.float_filter_kernel import FloatFilters, filter_of
 from lanebound.integrity.positioning.reflection_odds_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.resolve_kernel import FloatSource, add_held, attempt, base_of, resolve
 from lanebound.integrity.positioning.rows_kernel import ROW
@@ -114,7 +114,7 @@ def find_code_position(
 @jit(inline=True)
 def _resolve(
     carriers: Carriers, rows: Records, marks: Records, tests: tuple[Thresholds, Any, Any], age: float,
-    candidate: Bools, ambiguities: Records, fixed: Any, q: Any, own: Filters | None, filtered: bool,
+    candidate: Bools, ambiguities: Records, fixed: Any, q: Any, own: FloatFilters | None, filtered: bool,
 ) -> int:  # fmt: skip
     """Fix what the risk allows, from the codes of this epoch or, if ``filtered``, from the filter; returns a status.
 
@@ -144,7 +144,7 @@ def _resolve(
 @jit(inline=True)
 def _confirm(
     carriers: Carriers, rows: Records, marks: Records, tests: tuple[Thresholds, Any, Any], candidate: Bools,
-    before: Records, ambiguities: Records, own: Filters | None,
+    before: Records, ambiguities: Records, own: FloatFilters | None,
 ) -> bool:  # fmt: skip
     """Whether no doubtful carrier, and no set of them, is needed for the integers that are new since ``before``.
 

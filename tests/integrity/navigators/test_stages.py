@@ -18,7 +18,7 @@ from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
-from lanebound.integrity.navigators.rtk_reckoning.epoch import MODES, NOT_PLAIN, STAGES, EpochCall, Part
+from lanebound.integrity.navigators.rtk_reckoning.epoch import MODES, NOT_PLAIN, STAGES, EpochCall, Listed
 from lanebound.integrity.navigators.rtk_reckoning.epoch_kernel import locate
 from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import advance_doppler, advance_imu_odometer
 from lanebound.integrity.navigators.rtk_reckoning.navigator import arrays_of, blank_epoch, blank_state
@@ -35,7 +35,7 @@ from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
 Array = NDArray[np.float64]
-STAGE = {part.name: part.stage for part in STAGES if isinstance(part, Part)}
+STAGE = {part.name: part.stage for part in STAGES if isinstance(part, Listed)}
 N, DT = 12, 0.1
 SYSTEM = np.tile([int(System.GPS), int(System.GALILEO)], N // 2)
 AZIMUTH, ELEVATION = np.linspace(0.0, 2.0 * np.pi, N, endpoint=False), np.radians(np.tile([25.0, 70.0, 40.0], N // 3))
@@ -481,7 +481,7 @@ def test_imu_and_odometer_move_along_the_middle_course() -> None:
 
 
 def test_every_stage_of_the_table_has_a_test_of_its_own() -> None:
-    names = [part.name for part in STAGES if isinstance(part, Part)]
+    names = [part.name for part in STAGES if isinstance(part, Listed)]
     assert len(set(names)) == len(names)
     assert set(names) >= NOT_PLAIN
     tests = [name for name in globals() if name.startswith("test_")]
@@ -501,7 +501,7 @@ class Staged:
         for part in STAGES:
             if part == MODES:
                 self.stages += [advance_doppler, advance_imu_odometer]
-            elif isinstance(part, Part) and part.name not in NOT_PLAIN:
+            elif isinstance(part, Listed) and part.name not in NOT_PLAIN:
                 self.stages.append(part.stage)
 
     def for_epoch(self, observed: Records) -> EpochCall:

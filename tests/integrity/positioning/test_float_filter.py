@@ -14,7 +14,7 @@ from signal_records import records_of
 from lanebound.integrity.navigators.rtk_reckoning.navigator import blank_filters
 from lanebound.integrity.positioning.codes_kernel import FIXED
 from lanebound.integrity.positioning.float_filter_kernel import (
-    Filters,
+    FloatFilters,
     add_epoch,
     assign_slots,
     drop_slot,
@@ -51,7 +51,7 @@ def sky(seed: int, n: int = N) -> Array:
 class Session:
     """A filter, and the errors, truth and geometry of the epochs that go into it."""
 
-    own: Filters
+    own: FloatFilters
     rules: Any
     satellites: NDArray[np.void]
     ambiguities: NDArray[np.void]
