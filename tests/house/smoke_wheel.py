@@ -30,6 +30,8 @@ def check_layout() -> None:
     assert not strangers, f"installed outside lanebound: {strangers}"
     assert "lanebound/__init__.py" not in installed_files()
     assert any(path.endswith("licenses/LICENSE") for path in installed_files())
+    for layer in LAYERS:
+        assert f"lanebound/{layer}/py.typed" in installed_files(), f"{layer} is installed without its types"
 
 
 def check_imports(layers: Sequence[str]) -> int:

@@ -1,4 +1,4 @@
-"""A figure that stands on several pages is the same on all of them: the page of the result has it, the others repeat it."""
+"""A figure that stands on several pages is the same on all of them: the page of the result has it, others repeat it."""
 
 from __future__ import annotations
 

@@ -86,6 +86,14 @@ def test_a_wheel_leaves_nothing_in_the_clone_and_holds_no_module_that_was_delete
     assert {"build_backend.py", "envs/wrapping.py"} <= built("sdist", clone, out)
 
 
+def test_type_checkers_read_the_annotations_of_each_layer():
+    """A namespace has no marker of its own (PEP 561): each package in it has one."""
+    patterns = PROJECT["tool"]["setuptools"]["package-data"]
+    for layer in LAYERS:
+        assert (ROOT / layer / "py.typed").is_file()
+        assert "py.typed" in patterns[f"lanebound.{layer}"]
+
+
 def test_versions_agree():
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert re.search(r"^version: (\S+)$", citation, re.MULTILINE)[1] == PROJECT["project"]["version"]

@@ -18,7 +18,8 @@ from lanebound.agents.learning.experiment import load_experiment
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
-PAGES = (README, *sorted((ROOT / "docs").rglob("*.md")))
+DOCS = sorted((ROOT / "docs").rglob("*.md"))
+PAGES = (README, ROOT / "CONTRIBUTING.md", *DOCS)
 SNIPPETS = tuple(page for page in PAGES if ">>>" in page.read_text(encoding="utf-8"))
 LINE, WORDS = 140, 1500
 every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -88,7 +89,7 @@ def test_every_page_is_listed_in_the_index() -> None:
     """A folder's pages in the index of that folder, the index of the results in that of the docs."""
     lost = [
         page
-        for page in PAGES[1:]
+        for page in DOCS
         if page.name != "index.md" and f"]({page.name})" not in (page.parent / "index.md").read_text(encoding="utf-8")
     ]
     assert lost == []
