@@ -168,7 +168,7 @@ def test_vehicles_arrive_with_what_they_know_of_the_open_and_find_the_link_of_th
     ours, theirs = arrived.state, fresh.state
     np.testing.assert_array_equal(ours.corrections.links, theirs.corrections.links)
     for name in ("up", "outage_left", "until", "begun"):
-        np.testing.assert_array_equal(getattr(ours.area.network, name), getattr(theirs.area.network, name))
+        np.testing.assert_array_equal(ours.area.network.areas[name], theirs.area.network.areas[name])
     assert ours.area.network.epoch == 400
     assert (ours.extensions["hatch ppp"]["count"].max(-1) > 350).all()  # ambiguities of the open sky
     off = ours.belief.vehicles["position"] - (street.truths[0].position_enu_m - 0.1 * street.truths[0].velocity_enu_mps)

@@ -49,6 +49,8 @@ FIRST = [table.copy() for table in TABLES]
 """What the tables hold before any module of tests is imported."""
 GYMNASIUM = dict(gymnasium.registry)
 PLUGINS = Path(__file__).parents[1] / "plugins"
+ON_IMPORT = "lanebound.integrity.navigators.services.velocity_switch"
+"""Module of the package that registers a monitor when a configuration names it."""
 _others: set[str] = set()
 """Modules that are no plug-ins."""
 
@@ -74,6 +76,7 @@ def restore(temporary: Path = PLUGINS) -> None:
         table.update(first) if isinstance(table, dict) else table.extend(first)
     for name, reason in AlertReason.members.items():  # they are attributes of the class as well
         setattr(AlertReason, name, reason)
+    sys.modules.pop(ON_IMPORT, None)
     for name in sys.modules.keys() - _others:
         file = str(getattr(sys.modules[name], "__file__", ""))
         if str(PLUGINS) in file or str(temporary) in file:
