@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
+from types import FrameType
 from typing import Any, SupportsFloat
 
 import gymnasium
@@ -82,12 +83,19 @@ class SafetyGymnasium(_OfLanebound, RecordConstructorArgs):
             raise InputError(f"env must be a single environment, got {env}: use SafetyGymnasiumVector")
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
+        self._is_outermost = False  # not known before the first step
 
     def step(  # type: ignore[override]
         self, action: Any
     ) -> tuple[Any, SupportsFloat, float, bool, bool, dict[str, Any]]:
         """Carry out a command until the next decision."""
-        caller = sys._getframe(1)
+        if not self._is_outermost:
+            self._require_outermost(sys._getframe(1))
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, float(info["cost"]), terminated, truncated, info
+
+    def _require_outermost(self, caller: FrameType) -> None:
+        """Refuse a caller that takes five values of a step."""
         while caller.f_code.co_qualname in PASS_ON and caller.f_back is not None:
             caller = caller.f_back
         if caller.f_globals.get("__name__", "").partition(".")[0] in FIVE_VALUES:
@@ -97,8 +105,7 @@ class SafetyGymnasium(_OfLanebound, RecordConstructorArgs):
                 f"SafetyGymnasium must be around all other wrappers, got {around} around it, which takes five values: "
                 f"write SafetyGymnasium({around}(env)), or SafetyGymnasiumVector(envs) for a vector"
             )
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        return observation, reward, float(info["cost"]), terminated, truncated, info
+        self._is_outermost = True
 
 
 class SafetyGymnasiumVector(VectorWrapper[Any, Any, Any, Any, Any]):

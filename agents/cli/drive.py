@@ -41,7 +41,8 @@ __all__ = ["drive"]
 
 LOG, COLUMNS, DIAGRAM, WARNINGS = "episodes.parquet", "columns.md", "stanford.png", "warnings.csv"
 AGENT_HELP = (
-    f"Agent: {', '.join(AGENTS)} (see 'lanebound agents'); FILE.zip, .onnx, .npz, module:callable; or NAME= and one."
+    f"Agent: {', '.join(AGENTS)} (see 'lanebound agents'); FILE.zip, .onnx, .npz or module:callable. NAME=AGENT names "
+    "it."
 )
 
 

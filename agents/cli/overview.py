@@ -43,8 +43,8 @@ def print_overview(results: Results) -> None:
     for line in opening(results):
         typer.echo(line)
     print_table(title, ("agent", *SHOWN.values()), overview_rows(results), numbers=SHOWN.values())
-    told = *_changed(results), *limits_of_other_skies(results), *_partial(results, len(places)), *_untuned(results)
-    for line in (MEANT, *told, *_failing(results)):
+    remarks = *_changed(results), *limits_of_other_skies(results), *_partial(results, len(places)), *_untuned(results)
+    for line in (MEANT, *remarks, *_failing(results)):
         typer.echo(line)
     typer.echo("Each cell with its intervals: the same command with --full.\n")
     print_failures(open_console(), results)

@@ -31,7 +31,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.extending import lower_cast
 
-__all__ = ["Kernel", "address_of", "kernel_of"]
+__all__ = ["Kernel", "kernel_of"]
 
 INNER, OUTER = "inner", "outer"  # forms in the cache: without and with the Python wrapper
 
@@ -53,14 +53,6 @@ def kernel_of(function: Callable[..., Any], **options: Any) -> Any:
     if _missing():
         return numba.njit(**options)(function)
     return Kernel(function, targetoptions={"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, **options})
-
-
-def address_of(kernel: Any, signature: tuple[Any, ...]) -> np.uintp:
-    """Where the machine code of a result of :func:`kernel_of` begins for a signature; compiled now if it is not yet."""
-    if not isinstance(kernel, Kernel):
-        kernel.compile(signature)
-        return _begin(kernel.overloads[signature])
-    return kernel.address(signature)
 
 
 def _missing() -> list[str]:

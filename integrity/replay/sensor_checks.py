@@ -25,10 +25,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-SLOPES = (
-    0.75,
-    1.3,
-)  # of a sensor in its unit; wheels and gyros are good to some percent, slopes of roads add to forces
+SLOPES = 0.75, 1.3  # of a sensor in its unit; wheels and gyros are good to some percent, slopes of roads add to forces
 LEAST_CORRELATION = 0.5  # of a sensor that follows a motion
 LASTING_S = 1.0  # errors of a reference last as long
 SURE = 3.0  # deviations

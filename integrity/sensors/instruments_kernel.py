@@ -41,6 +41,11 @@ VEHICLE_DRAWS = record(
 """Draws of a vehicle and epoch beside those for its satellites."""
 OF_SATELLITE = (NORMALS.itemsize // 8, UNIFORMS.itemsize // 8, NEAR.itemsize // 8)
 OF_VEHICLE = VEHICLE_DRAWS.itemsize // 8
+CLOCK_AT, IMU_AT, ODOMETER_AT, OUTAGE_AT, LENGTH_AT = (
+    place // 8
+    for _, place in sorted(VEHICLE_DRAWS.fields.values(), key=lambda field: field[1])  # type: ignore[union-attr]
+)
+"""Places of the fields in the row of a vehicle's draws."""
 
 
 class Sensors(NamedTuple):
@@ -79,7 +84,7 @@ def draw_first(g, rules, draws, row, satellites):  # type: ignore[no-untyped-def
     normals, _, _, own = split(row, satellites)
     draw_normals(draws.generators[GNSS, g], g, draws.places, draws.table, normals)
     if rules.link.outages:
-        own[33] = uniform(draws.generators[CORRECTIONS, g])
+        own[OUTAGE_AT] = uniform(draws.generators[CORRECTIONS, g])
 
 
 @jit
@@ -90,11 +95,11 @@ def draw_rest(g, rules, draws, row, satellites):  # type: ignore[no-untyped-def]
     draw_uniforms(generators[GNSS, g], g, draws.places, uniforms)
     if rules.gnss.near.fitted:
         draw_normals(generators[NEAR_OBJECTS, g], g, draws.places, table, near)
-    fill(generators[CLOCK, g], table, own[:2])
-    fill(generators[IMU, g], table, own[2:32])
-    fill(generators[ODOMETER, g], table, own[32:33])
+    fill(generators[CLOCK, g], table, own[CLOCK_AT:IMU_AT])
+    fill(generators[IMU, g], table, own[IMU_AT:ODOMETER_AT])
+    fill(generators[ODOMETER, g], table, own[ODOMETER_AT:OUTAGE_AT])
     if rules.link.outages:
-        fill(generators[CORRECTIONS, g], table, own[34:])
+        fill(generators[CORRECTIONS, g], table, own[LENGTH_AT:])
 
 
 @jit

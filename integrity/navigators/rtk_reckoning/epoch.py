@@ -107,8 +107,7 @@ class EpochStages:
 
     def for_epoch(self, observed: Records) -> EpochCall:
         """The stages of an epoch, of which OBSERVED_VEHICLE (B,) is given; integers are made wrong only by a fault."""
-        if _ahead is not None:
-            _ahead.finish()
+        _finish_ahead()
         return EpochCall(self._every if observed["next_best"].any() else self._faultless)
 
 
@@ -146,6 +145,14 @@ def _listed(at: Mapping[Point, list[Any]], modes: list[Any], left_out: set[str])
 PLAIN = _listed({}, [kernels.advance_doppler, kernels.advance_imu_odometer], NOT_PLAIN)
 """The stages of :func:`~.epoch_kernel.locate`."""
 _ahead: Ahead | None = None  # of this process
+
+
+def _finish_ahead() -> None:
+    """Wait once for the kernels that are compiled ahead."""
+    global _ahead
+    if _ahead is not None:
+        _ahead.finish()
+        _ahead = None
 
 
 def carrier_stages(sequential: bool) -> list[Stage]:

@@ -115,15 +115,15 @@ def judge_fix(first: int, last: int, epoch: Epoch) -> None:
     for v in range(first, last):
         vehicle, w, fixed_levels, levels = epoch.vehicles[v], epoch.work[v], epoch.fixed_levels[v], epoch.levels[v]
         w.accepted = False
-        if not w.fixed.usable:
+        if not w.fixed.usable:  # not confirmed, or of poor geometry: dead reckoning goes on with its own level
             continue
-        if w.fixed.lasting:
+        if w.fixed.lasting:  # an RTK position that has led the way may have been wrong since it began
             _use_backup(vehicle, epoch.starts[v], epoch.faults[v], epoch.tables, par, w, fixed_levels, levels)
         verdict = judge_position(vehicle, par, w, levels, fixed_levels)
         w.accepted = verdict == ACCEPTED
         if not w.accepted:
             w.fixed.status = FAULT
-        if verdict == REFUSED:
+        if verdict == REFUSED:  # its integers are not believed any more: they are sought anew
             vehicle.fixed_s = 0.0
             ambiguities = epoch.ambiguities[v]
             for s in range(ambiguities.shape[0]):
@@ -138,7 +138,7 @@ def judge_position(vehicle: Any, par: Any, w: Any, expected: Array, found: Array
     """
     if bounded(expected[0]) and not bounded(found[0]):
         return QUARANTINED
-    if not vehicle.initialised:
+    if not vehicle.initialised:  # there is nothing to compare the first position with
         return ACCEPTED
     east, north = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)
     conflict = vehicle.conflict_s > CONFLICT_LIMIT_S or vehicle.jump.drifts
@@ -169,6 +169,7 @@ def _use_backup(
     east, north = east - backup.position[0], north - backup.position[1]
     at, ct = along_across(east, north, sin_h, cos_h)
     known = backup.age < math.inf and vehicle.since_calibration < math.inf
+    # Within the levels of RTK the backup says nothing new, and without a level of its own it refutes nothing.
     if not (known and (vehicle.jump.drifts or at > found[0, 0] or ct > found[0, 1])):
         return
     levels, later = np.empty_like(pl), later_by(backup.age, vehicle.memory_s, par.risk.fault_duration)

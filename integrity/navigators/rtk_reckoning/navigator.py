@@ -56,7 +56,7 @@ class RtkReckoningNavigator(Navigator):
         self._tables = epoch_tables(self.config, self.track.system)
         self._services = ServiceSet(self.config, self.track.system)
         self._stages = EpochStages(self.config, self._services)
-        self._epoch: Epoch | None = None
+        self._epoch: tuple[State, Epoch] | None = None
         self._stages.compile_ahead(lambda: blank_epoch(self._parameters, self._tables, self.initial_belief(1)))
 
     def initial_belief(self, batch: int) -> State:
@@ -121,9 +121,9 @@ class RtkReckoningNavigator(Navigator):
 
     def _epoch_of(self, belief: State) -> Epoch:
         """The arrays of an epoch; those of the belief are its own."""
-        if self._epoch is None or self._epoch.vehicles is not belief.vehicles:
-            self._epoch = blank_epoch(self._parameters, self._tables, belief)
-        return self._epoch
+        if self._epoch is None or self._epoch[0] is not belief:
+            self._epoch = belief, blank_epoch(self._parameters, self._tables, belief)
+        return self._epoch[1]
 
 
 def give_heading(heading: Records, angle_rad: Array, sigma_rad: float) -> None:

@@ -64,6 +64,7 @@ def report(first: int, last: int, epoch: Epoch) -> None:
             sigma_at = math.hypot(w.fixed.sigma[0], par.lever.right * sigma_h)
             sigma_ct = math.hypot(w.fixed.sigma[1], par.lever.forward * sigma_h)
         whole = keep_finite(vehicle, levels)
+        # A cold start knows no heading at first, and so no direction in which a level could hold.
         known = whole and vehicle.initialised and not (par.cold and vehicle.since_calibration == math.inf)
         if not known and par.cold:
             levels[:, :] = math.inf

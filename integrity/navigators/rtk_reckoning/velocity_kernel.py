@@ -64,9 +64,8 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
         w.suspect = suspects_signals(vehicle.jump)
         w.later = later_by(vehicle.since_rtk, vehicle.memory_s, par.risk.fault_duration)
         # The priors of modes that no velocity can do without must leave enough of the risk for a level.
-        affordable = w.later * lost_prior(tables.prior, faults) <= AFFORDABLE * (
-            operative.budget[0] + operative.budget[1]
-        )
+        spendable = AFFORDABLE * (operative.budget[0] + operative.budget[1])
+        affordable = w.later * lost_prior(tables.prior, faults) <= spendable
         w.checked = w.solved and not w.suspect and (par.risk.published or affordable)
 
 

@@ -132,7 +132,6 @@ def test_a_version_of_numba_without_a_needed_attribute_compiles_plain_functions(
     pair = fresh()
     assert not isinstance(pair.plus, kd.Kernel)
     assert (pair.twice(1.5), pair.plus(2)) == (5.0, 3)
-    assert kd.address_of(pair.plus, I8) != 0
     again = fresh()
     assert again.plus(2) == 3
     assert sum(again.plus.stats.cache_hits.values()) == 1, "cached on disk"

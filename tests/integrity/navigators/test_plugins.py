@@ -246,6 +246,15 @@ def test_a_monitor_that_does_nothing_changes_nothing_and_one_without_a_reason_is
         monitors.register_monitor("mute", "", (), {Point.BOUNDED: lambda *_: None}, reason=AlertReason.NONE)
 
 
+def test_a_withdrawn_monitor_is_unknown() -> None:
+    monitors.register_monitor("idle", "nothing", (), {Point.MEASURED: lambda first, last, epoch, own: None})
+    monitors.withdraw_monitor("idle")
+    with pytest.raises(ConfigError, match="monitors must be among"):
+        NavigatorConfig.load({"monitors": ["idle"]})
+    with pytest.raises(InputError, match="'idle'"):
+        monitors.withdraw_monitor("idle")
+
+
 def test_a_monitor_of_a_taken_name_or_without_measurements_or_stages_is_refused(interference: AlertReason) -> None:
     for name, needs, message in (
         ("interference", (), "must not be taken"), ("own", ("radar",), "needs must be among"),
