@@ -43,19 +43,20 @@ def service_solutions(
     original = stage.find_fix
 
     def keep(first, last, epoch, tables, inputs, ranges):
+        # Called once a piece of the vehicles, on several threads: what is kept is complete only after the step.
         original(first, last, epoch, tables, inputs, ranges)
-        system = tables.tables.satellites["system"]
-        found.update(rows=ranges.rows.copy(), work=ranges.work.copy(), los=epoch.signals["e"].copy(), system=system)
+        found.update(ranges=ranges, epoch=epoch, system=tables.tables.satellites["system"])
 
     monkeypatch.setattr(stage, "find_fix", keep)
     for truth in truths(batch, epochs, speed_mps):
         navigator.step(truth)
-        if found["work"]["due"].any():
-            last = {**found, "truth": truth}
+        ranges = found["ranges"]
+        if ranges.work["due"].any():
+            rows, consistent = ranges.rows.copy(), ranges.work["consistent"].copy()
+            los, then = found["epoch"].signals["e"].copy(), truth
     monkeypatch.undo()
-    rows = last["rows"]
-    used = rows["used"] & last["work"]["consistent"][:, None]
-    return solve_ranges(last["los"], rows["y"], rows["variance"], used, last["system"]), last["truth"]
+    used = rows["used"] & consistent[:, None]
+    return solve_ranges(los, rows["y"], rows["variance"], used, found["system"]), then
 
 
 def ratio_of(error_m: np.ndarray, covariance_m2: np.ndarray) -> float:
