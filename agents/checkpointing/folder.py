@@ -2,7 +2,7 @@
 
 ::
 
-    run.json    manifest: kind of the work, configuration, versions of the code and of packages
+    run.json    manifest: kind of the work, configuration, digest of the defaults, versions of the code and of packages
     .lock       locked while a process writes results
 
 All other names belong to the kind of the work.
@@ -80,6 +80,9 @@ class ResultFolder:
         InputError
             As :meth:`check`, or the folder cannot be written.
         """
+        # Imported here because environments take a second to import, and most commands refuse or show something only.
+        from lanebound.agents.checkpointing.defaults import defaults_digest
+
         before, fixed = {} if anew else self.check().get("fixed", {}), self._fixed()
         if not (self.path / MANIFEST).exists():
             _begun.append(self)
@@ -87,7 +90,7 @@ class ResultFolder:
         for key in self.growing:
             fixed[key] = {**before.get(key, {}), **fixed[key]}
         head = {"format": FORMAT, "kind": self.kind, "version": version("lanebound"), "source": self.source}
-        made_with = {"plugins": plugin_digests(), "packages": package_versions()}
+        made_with = {"defaults": defaults_digest(), "plugins": plugin_digests(), "packages": package_versions()}
         data = {"config": self.config, "fixed": fixed, **self.extra}
         write_json(self.path / MANIFEST, head | made_with | data)
 

@@ -168,6 +168,7 @@ def _versions(folder: Path | None) -> list[tuple[str, str]]:
     found: list[tuple[str, str]] = []
     if manifest:
         found = [("driven by lanebound", str(manifest["version"])), ("digest of its code", str(manifest["source"]))]
+        found.append(("digest of its defaults", str(manifest.get("defaults", "not recorded"))))
     recorded = {"Python": platform.python_version(), **manifest.get("packages", {})}
     found += recorded.items()
     for name in PACKAGES:

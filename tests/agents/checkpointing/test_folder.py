@@ -18,6 +18,7 @@ from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.checkpointing import folder as folders
 from lanebound.agents.checkpointing.files import make_folder, read_json, replace_file, write_json
+from lanebound.agents.checkpointing.defaults import defaults_digest
 from lanebound.agents.checkpointing.folder import MANIFEST, ResultFolder, code_digest, locked
 from lanebound.agents.cli import app
 from lanebound.agents.learning.experiment import ExperimentConfig
@@ -237,7 +238,9 @@ def test_recorded_drives_refuse_a_file_as_their_folder_first(
 def test_a_manifest_is_plain_json(tmp_path: Path) -> None:
     study(tmp_path, extra={"left_out": []}).claim()
     found = json.loads((tmp_path / MANIFEST).read_text(encoding="utf-8"))
-    assert list(found) == ["format", "kind", "version", "source", "plugins", "packages", "config", "fixed", "left_out"]
+    head, made_with = ["format", "kind", "version", "source"], ["defaults", "plugins", "packages"]
+    assert list(found) == [*head, *made_with, "config", "fixed", "left_out"]
+    assert found["defaults"] == defaults_digest()
     assert {"Python", "numpy", "numba", "highway-env"} <= set(found["packages"])
 
 

@@ -290,5 +290,6 @@ def test_a_clip_lies_inside(results, monkeypatch):
 def test_the_suite_and_its_version_are_told(results, html):
     mark = json.loads((results.folder / "run.json").read_text(encoding="utf-8"))
     assert mark["source"] in html
+    assert f"<td>{mark['defaults']}</td>" in html
     assert f"<td>{mark['packages']['highway-env']}</td>" in html
     assert "test seeds 10000 to 10003" in html
