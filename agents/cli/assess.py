@@ -59,8 +59,8 @@ def bounding(
 
     Example: lanebound assess bounding --out out/bounds --epochs 1000000 --jobs 2
     """
-    from lanebound.agents.assess.bounding import BoundingConfig, assess_bounding
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.studies.bounding import BoundingConfig, assess_bounding
 
     if in_the_loop:
         if rare_risk is not None:
@@ -94,8 +94,8 @@ def faults(
 
     Example: lanebound assess faults --out out/faults --vehicles 4 --set 'kinds=\[spoofing,jamming]'
     """
-    from lanebound.agents.assess.faults import FaultsConfig, assess_faults
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.studies.faults import FaultsConfig, assess_faults
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         config = FaultsConfig.load(changes(assignments, vehicles=vehicles))
@@ -119,13 +119,13 @@ def informativeness(
 
     Example: lanebound assess informativeness --out out/informative --sky urban --streets 4 --jobs 2
     """
-    from lanebound.agents.assess.informativeness import (
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.studies.informativeness import (
         InformativenessConfig,
         assess_informativeness,
         informativeness_rows,
     )
-    from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
     with resumable(lambda: kept_text(out, "parts/*.json", "street")):
         config = InformativenessConfig.load(changes(assignments, skies=known_skies(sky), streets=streets))
@@ -154,14 +154,15 @@ def rtk(
 
     Example: lanebound assess rtk drives/nagoya --out out/rtk --jobs 2
     """
-    from lanebound.agents.assess.conventional import (
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.studies.conventional import (
         RtkRealismConfig,
         assess_rtk,
         navigator_rows,
+        rtk_rows,
+        sky_rows,
     )
-    from lanebound.agents.assess.rtk_figures import rtk_rows, sky_rows
-    from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
     with resumable(lambda: kept_text(out, "parts/*.json", "street")):
         config = RtkRealismConfig.load(changes(assignments, streets=streets))
@@ -190,10 +191,9 @@ def signals(
 
     Example: lanebound assess signals drives/potsdamer --out out/signals --set streets=8
     """
-    from lanebound.agents.assess.labelled_signals import path_rows
-    from lanebound.agents.assess.signals import SignalsConfig, assess_signals, signal_rows
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import with_bar
+    from lanebound.agents.studies.signals import SignalsConfig, assess_signals, path_rows, signal_rows
 
     config = SignalsConfig.load(changes(assignments))
     result = with_bar("streets", lambda on_progress: assess_signals(folder, config, out, on_progress, labels))
@@ -207,7 +207,9 @@ def signals(
 
 
 def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: bool) -> None:
-    from lanebound.agents.assess.in_the_loop import (
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.studies.in_the_loop import (
         FEW_STREETS,
         InTheLoopConfig,
         assess_in_the_loop,
@@ -217,8 +219,6 @@ def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: 
         sbas_rows,
         trust_rows,
     )
-    from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
     with resumable(lambda: kept_text(out, "parts/*.json", "street")):
         config = InTheLoopConfig.load(given)
@@ -243,7 +243,8 @@ def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: 
 
 
 def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
-    from lanebound.agents.assess.bounding_tables import (
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.studies.bounding import (
         drift_rows,
         form_rows,
         place_rows,
@@ -252,7 +253,6 @@ def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
         strata_rows,
         tightness_rows,
     )
-    from lanebound.agents.cli.output import print_json, print_table
 
     if as_json:
         print_json(result)
@@ -280,8 +280,8 @@ def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
 
 
 def _report_faults(result: dict[str, Any], out: Path, as_json: bool) -> None:
-    from lanebound.agents.assess.faults_tables import consistency_rows, control_lines, fault_rows, theory_rows
     from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.studies.faults import consistency_rows, control_lines, fault_rows, theory_rows
 
     if as_json:
         print_json(result)

@@ -17,10 +17,10 @@ __all__ = ["KINDS", "resolve"]
 KINDS = {
     "context_rules": "lanebound.integrity.monitoring.context.fuzzy:RuleBase",
     "experiment": "lanebound.agents.learning.experiment:ExperimentConfig",
-    "learning_study": "lanebound.agents.learning.study:LearningStudyConfig",
+    "learning_study": "lanebound.agents.studies.learning:LearningStudyConfig",
     "suite": "lanebound.agents.benchmark.suite:SuiteConfig",
     "tuned_caution": "lanebound.agents.drivers.margins:TunedCaution",
-    "urban_drive": "lanebound.agents.reproduce.urban_drive:UrbanDriveConfig",
+    "urban_drive": "lanebound.agents.studies.urban_drive:UrbanDriveConfig",
     "navigator": "lanebound.integrity.navigators.navigator:NavigatorConfig",
     "corrections": "lanebound.integrity.sensors.corrections:CorrectionsConfig",
     "fitted_errors": "lanebound.integrity.monitoring.family.error_classes:FittedErrors",

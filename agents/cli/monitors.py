@@ -50,9 +50,9 @@ def fit_errors(
 
     Example: lanebound fit-errors data/smartloc_berlin_potsdamer --out berlin.yaml
     """
-    from lanebound.agents.assess.fit_errors import FitErrorsConfig, class_rows, law_rows, write_preset
-    from lanebound.agents.assess.fit_errors import fit_errors as fit
     from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.studies.fit_errors import FitErrorsConfig, class_rows, law_rows, write_preset
+    from lanebound.agents.studies.fit_errors import fit_errors as fit
 
     fitted, found = fit(dataset, sky, FitErrorsConfig.load(changes(assignments)))
     write_preset(out, fitted)
@@ -80,12 +80,11 @@ def assess_monitors(
 
     Example: lanebound assess monitors --data data/smartloc_berlin_potsdamer --out out/monitors
     """
-    from lanebound.agents.assess.monitor_campaign import campaign_rows
-    from lanebound.agents.assess.monitors import MonitorsConfig, monitor_rows, predicted_rows
-    from lanebound.agents.assess.monitors import assess_monitors as assess
-    from lanebound.agents.assess.monitors_page import write_page
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.studies.monitored_drives import campaign_rows
+    from lanebound.agents.studies.monitors import MonitorsConfig, monitor_rows, predicted_rows, write_page
+    from lanebound.agents.studies.monitors import assess_monitors as assess
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         given = changes(assignments, skies=known_skies(sky), monitors=monitor or None, streets=streets)

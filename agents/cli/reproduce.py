@@ -12,7 +12,7 @@ from lanebound.agents.cli.advice import AdvisingGroup
 from lanebound.agents.cli.options import AsJson, Assignments, Jobs, changes
 
 if TYPE_CHECKING:
-    from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
+    from lanebound.agents.studies.urban_drive import UrbanDriveConfig
 
 __all__ = ["app"]
 
@@ -40,7 +40,7 @@ def urban_drive(
     Example: lanebound reproduce urban-drive --out out/urban --seeds 10
     """
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.reproduce.study import check, run_study
+    from lanebound.agents.studies.urban_drive_study import check, run_study
 
     if ablate:
         _ablate(out, changes(assignments, seeds=seeds, minutes=minutes), as_json)
@@ -65,9 +65,9 @@ def filters(
     """
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.reproduce.filter_faults import fault_rows
-    from lanebound.agents.reproduce.filter_law import law_rows
-    from lanebound.agents.reproduce.filters import FiltersConfig, run_filters, sharp_rows, table_rows
+    from lanebound.agents.studies.filter_faults import fault_rows
+    from lanebound.agents.studies.filter_scenarios import law_rows
+    from lanebound.agents.studies.filters import FiltersConfig, run_filters, sharp_rows, table_rows
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         config = FiltersConfig.load(changes(assignments, seeds=seeds))
@@ -101,7 +101,7 @@ def barrier_promise(
     Example: lanebound reproduce barrier-promise --out out/barrier --episodes 100 --jobs 2
     """
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig, run_promise
+    from lanebound.agents.studies.barrier_promise import BarrierPromiseConfig, run_promise
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         config = BarrierPromiseConfig.load(changes(None, episodes=episodes, source=source))
@@ -123,8 +123,7 @@ def services(
     """
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.reproduce import service_tables as tables
-    from lanebound.agents.reproduce import services as study
+    from lanebound.agents.studies import services as study
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         config = study.ServiceStudyConfig.load(changes(assignments, seeds=seeds))
@@ -132,13 +131,13 @@ def services(
     if as_json:
         print_json(result)
         return
-    print_table("Services, medians over streets; shares are means", *tables.service_rows(result))
-    heads, by_egnos = tables.mixed_rows(result)
+    print_table("Services, medians over streets; shares are means", *study.service_rows(result))
+    heads, by_egnos = study.mixed_rows(result)
     if by_egnos:
         print_table("EGNOS by its satellites alone and with SISNeT", heads, by_egnos)
     if "ppp" in result:
-        print_table("PPP at rest in the open, by the time since it was switched on", *tables.convergence_rows(result))
-    heads, lines = tables.published_rows(result)
+        print_table("PPP at rest in the open, by the time since it was switched on", *study.convergence_rows(result))
+    heads, lines = study.published_rows(result)
     if lines:
         print_table("The papers line by line", heads, lines)
     typer.echo(f"services.json: {out}")
@@ -157,8 +156,8 @@ def context(
     """
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.reproduce import context_tables as made
-    from lanebound.agents.reproduce.context_study import ContextStudyConfig, run_context
+    from lanebound.agents.studies import context_tables as made
+    from lanebound.agents.studies.context_study import ContextStudyConfig, run_context
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         config = ContextStudyConfig().replace(**changes(assignments, seeds=seeds))
@@ -216,7 +215,7 @@ def _interval(share: Sequence[float]) -> str:
 def _config(changed: dict[str, Any]) -> UrbanDriveConfig:
     """The configuration of the study with changes."""
     from lanebound.agents.cli.kinds import resolve
-    from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
+    from lanebound.agents.studies.urban_drive import UrbanDriveConfig
 
     _, config = resolve("studies/urban_drive", changed)
     assert isinstance(config, UrbanDriveConfig)
@@ -226,7 +225,7 @@ def _config(changed: dict[str, Any]) -> UrbanDriveConfig:
 def _ablate(out: Path, changed: dict[str, Any], as_json: bool) -> None:
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.reproduce.ablation import ablation_rows, run_ablation
+    from lanebound.agents.studies.ablation import ablation_rows, run_ablation
 
     with resumable(lambda: kept_text(out, "*/parts/*.json", "part")):
         config = _config(changed)
@@ -241,7 +240,7 @@ def _ablate(out: Path, changed: dict[str, Any], as_json: bool) -> None:
 
 def _report(tables: dict[str, Any], out: Path, as_json: bool) -> None:
     from lanebound.agents.cli.output import print_json
-    from lanebound.agents.reproduce.study import is_short, rows_against_paper
+    from lanebound.agents.studies.urban_drive_study import is_short, rows_against_paper
 
     rows, short = rows_against_paper(tables), is_short(tables)
     if as_json:
@@ -255,7 +254,7 @@ def _report(tables: dict[str, Any], out: Path, as_json: bool) -> None:
 
 def _print_figures(rows: list[dict[str, Any]], tables: dict[str, Any], short: bool) -> None:
     from lanebound.agents.cli.output import print_table
-    from lanebound.agents.reproduce.study import verdict
+    from lanebound.agents.studies.urban_drive_study import verdict
 
     print_table(
         f"S1 against ours: medians over {tables['seeds']} drives of {tables['minutes']:g} min [m]",
@@ -280,7 +279,7 @@ def _print_figures(rows: list[dict[str, Any]], tables: dict[str, Any], short: bo
 
 def _print_exceedance(tables: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
-    from lanebound.agents.reproduce.published import MODES
+    from lanebound.agents.studies.urban_drive_study import MODES
 
     print_table(
         "Share of epochs whose error exceeds the protection level on either axis",

@@ -11,7 +11,7 @@ from lanebound.agents.cli.options import AsJson, Assignments, Budget, Jobs, Plug
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
-    from lanebound.agents.learning.study import Course, LearningStudyConfig
+    from lanebound.agents.studies.learning import Course, LearningStudyConfig
 
 __all__ = ["study"]
 
@@ -33,8 +33,7 @@ def study(
 
     refuse_preset("study", "studies/", name, "learning_study")
     from lanebound.agents.cli.progress import resumable, with_bar
-    from lanebound.agents.learning.study import load_study, plan, run_learning_study, study_folder
-    from lanebound.agents.learning.study_time import study_hours
+    from lanebound.agents.studies.learning import load_study, plan, run_learning_study, study_folder, study_hours
 
     with resumable(lambda: f"trainings and checkpoints are kept in {out}; run the same command again to resume"):
         chosen = load_study(name, changes(assignments))
@@ -61,7 +60,7 @@ def _announce(chosen: LearningStudyConfig, course: Course, hours: float, jobs: i
 
 def _report(found: dict[str, Any], out: Path, as_json: bool) -> None:
     from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.learning.study_tables import PRIMARY, SHOWN, spread, tested
+    from lanebound.agents.studies.learning import PRIMARY, SHOWN, spread, tested
 
     if as_json:
         print_json(found)

@@ -9,19 +9,39 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation
+from lanebound.agents.drivers.base import Observation, Reader
 from lanebound.agents.drivers.crossing import YieldConfig, yield_speed
 from lanebound.agents.drivers.lateral import LqrSteering
 from lanebound.agents.drivers.mobil import MobilConfig, changes
-from lanebound.agents.drivers.passing import PassingSteering
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
 from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["Nominal", "make_nominal", "make_oracle"]
+__all__ = ["PASSING", "Nominal", "PassingSteering", "make_nominal", "make_oracle"]
 
 Array = NDArray[np.float64]
+
+PASSING = MobilConfig(way_m=1.0, speed_min_mps=1.0)  # a car that cannot slow down changes lane in bends too
+
+
+class PassingSteering:
+    """A regulator that steers to the neighbouring lane while MOBIL chooses it, and stays there.
+
+    The present speed counts as the wanted one, so that only vehicles ahead and behind decide. Half way over, the new
+    lane is the car's own one and free, so that no memory is needed.
+    """
+
+    def __init__(self, law: LqrSteering, reader: Reader, config: CruiseConfig, mobil: MobilConfig = PASSING) -> None:
+        self.law, self.reader, self.config, self.mobil = law, reader, config, mobil
+
+    def __call__(self, observation: Observation) -> Array:
+        """Steering angle [rad], positive right."""
+        v = self.reader.value(observation, "ego.speed")
+        side = changes(self.reader, observation, v, self.config, self.mobil)
+        return self.law(observation, side * self.reader.value(observation, "ego.lane_width"))
+
+
 META_MPS2, META_S = 3.0, 0.25
 """Acceleration and response by which meta-actions start: highway-env's control covers 8.6 m in 2.5 s, 20 m in 4.5 s."""
 

@@ -13,9 +13,11 @@
 from __future__ import annotations
 
 import math
+import platform
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from pickle import UnpicklingError
@@ -31,7 +33,6 @@ from lanebound.agents.checkpointing.files import make_folder, read_json, replace
 from lanebound.agents.checkpointing.folder import ResultFolder, locked
 from lanebound.agents.drivers.origin import EXPERIMENT, add_text, name_inputs
 from lanebound.agents.learning.algorithms import class_of, make_model, require_known
-from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
 from lanebound.agents.learning.imitation import Teacher, imitate, teacher_of
@@ -41,7 +42,46 @@ from lanebound.envs.episode_totals import EPISODE_KEY
 from lanebound.integrity.core.accel import serial
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["Checkpoint", "is_best", "load_model", "one_thread", "train"]
+__all__ = ["Checkpoint", "is_best", "load_model", "one_thread", "train", "write_card"]
+
+PACKAGES = ("lanebound", "stable-baselines3", "torch", "highway-env", "numpy")
+
+
+def write_card(experiment: ExperimentConfig, row: Mapping[str, Any], path: Path) -> None:
+    """Write the card of the checkpoint whose evaluation is ``row``."""
+    c = experiment
+    figures = [f"| {name} | {value if isinstance(value, int) else f'{value:.3g}'} |" for name, value in row.items()]
+    lines = [
+        f"# {c.algorithm} in {c.env}, {c.sky} sky",
+        "",
+        c.title or "A policy of lanebound.",
+        "",
+        f"Learnt with seed {c.seed} in {row['steps']} decisions, {c.count} environments at once, shield {c.shield}"
+        + (
+            "." if c.imitation is None else f", after imitating `{c.imitation.driver}` in {c.imitation.total(c.count)}."
+        ),
+        f"It takes flat observations of `lanebound/{c.env}` and was learnt by this experiment:",
+        "",
+        "```json",
+        c.to_json(),
+        "```",
+        "",
+        f"Means of {c.evaluation_episodes} episodes on the last training seeds, without exploration. The checkpoint",
+        "was chosen by these, so they flatter it: `lanebound evaluate` takes seeds that nothing was chosen by.",
+        "",
+        "| | |",
+        "|---|---|",
+        *figures,
+        "",
+        f"Made with Python {platform.python_version()}, "
+        + ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+        + ".",
+        "",
+        "A policy of a simulated car, for research; it has never driven a real one and must not.",
+        "",
+    ]
+    path.write_text("\n".join(lines), encoding="utf-8")
+
 
 PROGRESS, BEST, CARD = "progress.json", "best.zip", "best.md"
 LAST, REPLAY, IMITATION = "last.zip", "last-replay.pkl", "imitation.pt"

@@ -12,8 +12,7 @@ from scipy.linalg import solve_discrete_are
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.horizon import condense
-from lanebound.agents.drivers.mpc import LevelMpc, make_mpc
-from lanebound.agents.drivers.programmes import MpcConfig, solve
+from lanebound.agents.drivers.mpc import LevelMpc, MpcConfig, make_mpc, solve
 from lanebound.agents.episodes import EpisodeLog, drive, open_env
 from lanebound.integrity.core.errors import InputError
 

@@ -9,8 +9,7 @@ import pytest
 
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.lateral import LqrSteering
-from lanebound.agents.drivers.nominal import Nominal
-from lanebound.agents.drivers.passing import PassingSteering
+from lanebound.agents.drivers.nominal import Nominal, PassingSteering
 from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.agents.episodes import open_env
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lanebound.agents.drivers.mpc import CUT_MPS, Along, FreeRoad, MpcConfig
 from lanebound.agents.drivers.plans import FREE_M
-from lanebound.agents.drivers.programmes import CUT_MPS, Along, FreeRoad, MpcConfig
 
 C = MpcConfig()
 DT_S = 0.2

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from lanebound.agents.assess.faults import FaultsConfig, assess_faults
 from lanebound.agents.plugins import load_plugins
+from lanebound.agents.studies.faults import FaultsConfig, assess_faults
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.sensors.fault_kinds import FaultKind
 from lanebound.integrity.sensors.fault_registry import register_fault

@@ -10,18 +10,21 @@ import pytest
 
 from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli.kinds import resolve
-from lanebound.agents.reproduce import study
-from lanebound.agents.reproduce.published import CELLS, MODES, RISKS, risk_key
-from lanebound.agents.reproduce.study import (
+from lanebound.agents.studies import study
+from lanebound.agents.studies.urban_drive import UrbanDriveConfig, outage_lengths_s
+from lanebound.agents.studies.urban_drive_study import (
+    CELLS,
+    MODES,
+    RISKS,
     check,
     is_short,
     lookup,
+    risk_key,
     rows_against_paper,
     run_study,
     summarise,
     verdict,
 )
-from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig, outage_lengths_s
 from lanebound.integrity.core.errors import InputError
 
 SMALL = {

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from lanebound.agents.reproduce import ablation
-from lanebound.agents.reproduce.study import rows_against_paper
-from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
+from lanebound.agents.studies import ablation
+from lanebound.agents.studies.urban_drive import UrbanDriveConfig
+from lanebound.agents.studies.urban_drive_study import rows_against_paper
 
 STUDY = UrbanDriveConfig.preset("studies/urban_drive")
 

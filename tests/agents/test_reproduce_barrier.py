@@ -13,9 +13,17 @@ from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.drivers.barrier import BarrierConfig
-from lanebound.agents.reproduce import barrier_promise
-from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig, one_fault, run_promise
-from lanebound.agents.reproduce.barrier_score import ASSUMPTIONS, PromiseWatch, barrier_m, exceptions_of, levels_m
+from lanebound.agents.studies import barrier_promise
+from lanebound.agents.studies.barrier_promise import (
+    ASSUMPTIONS,
+    BarrierPromiseConfig,
+    PromiseWatch,
+    barrier_m,
+    exceptions_of,
+    levels_m,
+    one_fault,
+    run_promise,
+)
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.fault_table import FAULT_TABLE
 

@@ -19,9 +19,9 @@ from lanebound.agents.checkpointing import pool
 from lanebound.agents.cli import app, progress
 from lanebound.agents.cli.kinds import resolve
 from lanebound.agents.cli.progress import wait_for
-from lanebound.agents.reproduce import study
-from lanebound.agents.reproduce.published import CELLS, MODES, RISKS, risk_key
-from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
+from lanebound.agents.studies import study
+from lanebound.agents.studies.urban_drive import UrbanDriveConfig
+from lanebound.agents.studies.urban_drive_study import CELLS, MODES, RISKS, risk_key
 
 PROGRAM = str(Path(sys.executable).parent / "lanebound")
 STUBBORN = """

@@ -9,10 +9,17 @@ import pytest
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
-from lanebound.agents.reproduce import context_tables as made
-from lanebound.agents.reproduce.context_drive import DRIVES, TrueLinks, drive_of, route_road
-from lanebound.agents.reproduce.context_scores import PHASES, MonitorSeries, warned_by
-from lanebound.agents.reproduce.context_study import ContextStudyConfig, run_context
+from lanebound.agents.studies import context_tables as made
+from lanebound.agents.studies.context_drive import (
+    DRIVES,
+    PHASES,
+    MonitorSeries,
+    TrueLinks,
+    drive_of,
+    route_road,
+    warned_by,
+)
+from lanebound.agents.studies.context_study import ContextStudyConfig, run_context
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.context.monitor import ContextMonitor, ContextReason

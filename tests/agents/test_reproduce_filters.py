@@ -9,8 +9,8 @@ from scipy.stats import bootstrap
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
-from lanebound.agents.reproduce import filter_faults, filter_scenarios, filters
-from lanebound.agents.reproduce.filter_consistency import paired
+from lanebound.agents.studies import filter_faults, filter_scenarios, filters
+from lanebound.agents.studies.filters import paired
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.drive import CityDrive

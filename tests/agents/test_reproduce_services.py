@@ -9,18 +9,21 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lanebound.agents.assess.street_drives import navigator_of
 from lanebound.agents.cli import app
-from lanebound.agents.reproduce import service_drives, services
-from lanebound.agents.reproduce.service_drives import NO_DOP, _arrive, approach, converge, hdop, streets_of
-from lanebound.agents.reproduce.service_tables import convergence_rows, mixed_rows, published_rows, service_rows
-from lanebound.agents.reproduce.services import (
+from lanebound.agents.studies import service_drives, services
+from lanebound.agents.studies.service_drives import NO_DOP, _arrive, approach, converge, hdop, streets_of
+from lanebound.agents.studies.services import (
     ServiceStudyConfig,
     _drive,
     _figures,
+    convergence_rows,
+    mixed_rows,
+    published_rows,
     run_services,
+    service_rows,
     work_street,
 )
+from lanebound.agents.studies.street_drives import navigator_of
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import NavigatorConfig

@@ -13,8 +13,8 @@ import argparse
 
 import numpy as np
 
-from lanebound.agents.assess.in_the_loop import InTheLoopConfig
-from lanebound.agents.assess.street_drives import street_of
+from lanebound.agents.studies.in_the_loop import InTheLoopConfig
+from lanebound.agents.studies.street_drives import street_of
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.arrival_kernel import UNKNOWN_FACE
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from lanebound.agents.assess.faults import FaultsConfig
 from lanebound.agents.cli import app
 from lanebound.agents.cli.options import film_rate
 from lanebound.agents.cli.output import format_value
+from lanebound.agents.studies.faults import FaultsConfig
 from lanebound.envs import EnvConfig, FaultLevel
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import parse_assignments

@@ -19,8 +19,8 @@ from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig
 from lanebound.agents.learning.imitation import Teacher, imitate, teacher_of
 from lanebound.agents.learning.opening import episode_seeds, for_learning
-from lanebound.agents.learning.study import LearningStudyConfig, plan
 from lanebound.agents.learning.training import Checkpoint, one_thread, train
+from lanebound.agents.studies.learning import LearningStudyConfig, plan
 from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.core.errors import ConfigError, InputError

@@ -9,8 +9,7 @@ import pytest
 from experiments import experiment
 
 from lanebound.agents.learning.algorithms import class_of
-from lanebound.agents.learning.experiment import Algorithm
-from lanebound.agents.learning.settings import BOUNDS
+from lanebound.agents.learning.experiment import BOUNDS, Algorithm
 from lanebound.integrity.core.errors import ConfigError
 
 REFUSED = [

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lanebound.agents.report.canvas import STAND_INS, Box, colour, new_axes, new_figure, span, spread_out, to_svg
+from lanebound.agents.report.charts import STAND_INS, Box, colour, new_axes, new_figure, span, spread_out, to_svg
 
 VALUES = st.floats(-1e6, 1e6)
 EVIL = '</g><script>"x"</script>'

@@ -12,7 +12,7 @@ from imageio_ffmpeg import count_frames_and_secs, write_frames
 from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.work import DrivenEpisodes
 from lanebound.agents.checkpointing.pool import PartStatus
-from lanebound.agents.report.clips import LAST_S, film_clip, shrink
+from lanebound.agents.report.write import LAST_S, film_clip, shrink
 
 
 def film(path, seconds, width=640, height=360, fps=5):
@@ -34,7 +34,7 @@ def test_only_the_last_seconds_are_kept(tmp_path, length_s, kept_s):
 
 
 def test_clips_are_compressed_further_until_they_are_small(tmp_path, monkeypatch):
-    from lanebound.agents.report import clips
+    from lanebound.agents.report import write as clips
 
     film(tmp_path / "whole.mp4", 2.0)
     tried = []
@@ -54,7 +54,7 @@ def test_trouble_is_told(tmp_path):
 
 
 def test_a_film_is_made_once(tmp_path, monkeypatch):
-    from lanebound.agents.report import clips
+    from lanebound.agents.report import write as clips
 
     made_up_folder(tmp_path, seeds={"count": 2})
     first, second = list(made_up_suite().tasks())[:2]

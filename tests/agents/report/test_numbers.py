@@ -6,12 +6,12 @@ import doctest
 
 import pytest
 
-from lanebound.agents.report import canvas, numbers, style
+from lanebound.agents.report import charts, numbers, style
 from lanebound.agents.report.numbers import SHARE, interval, plain, shorten, signed
 from lanebound.agents.report.style import clear_best
 
 
-@pytest.mark.parametrize("module", [canvas, numbers, style])
+@pytest.mark.parametrize("module", [charts, numbers, style])
 def test_the_examples_hold(module):
     found = doctest.testmod(module)
     assert found.attempted > 0

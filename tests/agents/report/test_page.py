@@ -15,8 +15,7 @@ from benchmarks import made_up_folder, made_up_outcome, made_up_results, made_up
 from lanebound.agents.benchmark.metrics import MAIN, METRICS
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.report import write_report
-from lanebound.agents.report.clips import Clip
-from lanebound.agents.report.write import LISTED, render
+from lanebound.agents.report.write import LISTED, Clip, render
 
 VOID = {"meta", "link", "br", "wbr", "input", "img"}
 EVIL = """</title></script><script>alert("x")</script><img src=x onerror='a'> & "quoted" </code>"""

@@ -11,7 +11,7 @@ import pytest
 from clock_jump import CLOCK_JUMP, METRES_PER_NS
 
 import lanebound.envs  # noqa: F401 - registers the ids
-from lanebound.agents.assess.faults import FaultsConfig, assess_faults
+from lanebound.agents.studies.faults import FaultsConfig, assess_faults
 from lanebound.envs.manual import markdown
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import named_generator

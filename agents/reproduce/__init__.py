@@ -1,1 +1,0 @@
-"""Studies that reproduce what the source papers show, with one documented parameter set each."""

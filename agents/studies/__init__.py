@@ -1,0 +1,1 @@
+"""Studies: what the layer promises, what the source papers show, and what integrity is worth for learning."""
