@@ -279,7 +279,7 @@ def _print_figures(rows: list[dict[str, Any]], tables: dict[str, Any], short: bo
 
 def _print_exceedance(tables: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
-    from lanebound.agents.studies.urban_drive_study import MODES
+    from lanebound.agents.studies.urban_drive import MODES
 
     print_table(
         "Share of epochs whose error exceeds the protection level on either axis",

@@ -26,8 +26,7 @@ from scipy.stats import chi2
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.agents.studies.bounding import Table
-from lanebound.agents.studies.bounding import rate_of, rate_over
+from lanebound.agents.studies.bounding import Table, rate_of, rate_over
 from lanebound.agents.studies.fault_response import (
     Response,
     Run,
