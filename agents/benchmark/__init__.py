@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from lanebound.agents.benchmark.metrics import MAIN, METRICS, Metric
     from lanebound.agents.benchmark.outcome import Outcome, Place, Task
     from lanebound.agents.benchmark.results import Cell, Estimate, Paired, Results
-    from lanebound.agents.benchmark.running import run
     from lanebound.agents.benchmark.suite import AgentConfig, SeedsConfig, SuiteConfig, load_suite
+    from lanebound.agents.benchmark.work import run
 
 __all__ = [
     "MAIN",
@@ -37,7 +37,7 @@ HOMES = {
     "metrics": ("MAIN", "METRICS", "Metric"),
     "outcome": ("Outcome", "Place", "Task"),
     "results": ("Cell", "Estimate", "Paired", "Results"),
-    "running": ("run",),
+    "work": ("run",),
     "suite": ("AgentConfig", "SeedsConfig", "SuiteConfig", "load_suite"),
 }
 

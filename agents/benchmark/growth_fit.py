@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.benchmark.seeds import TRAIN
+from lanebound.agents.benchmark.suite import TRAIN
 from lanebound.agents.checkpointing.runner import OnProgress, RunProgress, ignore
 from lanebound.agents.drivers.base import Reader, StatelessDriver
 from lanebound.agents.drivers.horizon import GROWTH_SPEED_MPS, GrowthConfig

@@ -6,26 +6,69 @@
     episodes/<env>/<sky>-<faults>/<agent>/<seed>.parquet
     results.json  results.csv  episodes.parquet       metrics of all episodes
     clips/                                            films in the report, reused while their episodes stay the same
+
+Digests of the code and of the agents that determine an episode: results of other code are not mixed in.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from lanebound.agents.benchmark.outcome import Outcome, Task
-from lanebound.agents.benchmark.source import agent_digest, source_digest
-from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.suite import AgentConfig, SuiteConfig
 from lanebound.agents.checkpointing.files import replace_file
-from lanebound.agents.checkpointing.folder import MANIFEST, ResultFolder, package_versions, plugin_digests
+from lanebound.agents.checkpointing.folder import MANIFEST, ResultFolder, code_digest, package_versions, plugin_digests
+from lanebound.agents.drivers.foreign import MODELS
 from lanebound.agents.episodes.columns import Column, columns
 from lanebound.agents.episodes.log import schema_of
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["CLIPS", "EPISODES", "KIND", "EpisodeStore", "stored_columns"]
+__all__ = ["CLIPS", "EPISODES", "KIND", "EpisodeStore", "agent_digest", "source_digest", "stored_columns"]
+
+
+SOURCES = (
+    "lanebound.integrity",
+    "lanebound.envs",
+    "lanebound.configs",
+    "lanebound.agents.drivers",
+    "lanebound.agents.episodes",
+    *(f"lanebound.agents.benchmark:{name}.py" for name in ("episode", "outcome", "scoring", "suite", "work")),
+)
+"""Code that determines the rows and outcomes of episodes; metrics are computed when results are loaded."""
+
+
+def source_digest() -> str:
+    """Digest of the code and presets that determine episodes, as they are at the first call."""
+    return code_digest(*SOURCES)
+
+
+def agent_digest(chosen: AgentConfig) -> str:
+    """Digest of an agent: its configuration, and the bytes of its model or module."""
+    found = hashlib.blake2b(chosen.to_json().encode(), digest_size=8)
+    for path in _files(chosen.agent):
+        if path.is_file():
+            found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def _files(agent: str) -> list[Path]:
+    if agent.endswith(MODELS):
+        return [Path(agent)]
+    module, colon, _ = agent.partition(":")
+    if not colon:
+        return []
+    try:
+        spec = find_spec(module)
+    except (ImportError, ValueError):
+        return []
+    return [Path(spec.origin)] if spec is not None and spec.origin is not None else []
+
 
 KIND = "benchmark"
 EPISODES, CLIPS, KEY = "episodes", "clips", b"lanebound.outcome"

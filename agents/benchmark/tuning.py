@@ -18,8 +18,8 @@ from typing import Any
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.running import run
 from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.work import run
 from lanebound.agents.checkpointing.runner import OnProgress, ignore
 from lanebound.agents.drivers.margins import CautiousConfig
 from lanebound.agents.episodes import open_env
@@ -118,7 +118,7 @@ def tune_cautious(
     Raises
     ------
     InputError
-        As :func:`~lanebound.agents.benchmark.running.run`, and a driver failed; ConfigError where there are not so many
+        As :func:`~lanebound.agents.benchmark.work.run`, and a driver failed; ConfigError where there are not so many
         training seeds.
     """
     suite = tuning_suite(name, sky, seeds)

@@ -36,7 +36,7 @@ from lanebound.agents.cli.output import counted, open_console, print_table
 
 if TYPE_CHECKING:
     from lanebound.agents.benchmark import Results, SuiteConfig
-    from lanebound.agents.benchmark.running import BenchmarkPlan
+    from lanebound.agents.benchmark.work import BenchmarkPlan
 
 __all__ = [
     "SHOWN",
@@ -327,7 +327,7 @@ def carry_out(
     as_json: bool,
 ) -> None:
     """Drive a suite, print the results and write the report, with progress."""
-    from lanebound.agents.benchmark.running import run_plan
+    from lanebound.agents.benchmark.work import run_plan
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
     with resumable(lambda: kept_text(out, "episodes/*/*/*/*.parquet", "episode")):
@@ -369,7 +369,7 @@ def _while(doing: str, work: Callable[[Callable[[str], None]], T]) -> T:
 
 def _plan(suite: SuiteConfig, out: Path, fresh: bool) -> tuple[BenchmarkPlan, bool]:
     """The plan of a suite, and whether kernels must be compiled for it."""
-    from lanebound.agents.benchmark.running import BenchmarkPlan
+    from lanebound.agents.benchmark.work import BenchmarkPlan
     from lanebound.integrity.core.accel import kernels_are_cached
     from lanebound.integrity.navigators.rtk_reckoning import report_kernel  # the last stage of an epoch
 

@@ -68,7 +68,7 @@ def _print_rtk_notes(found: dict[str, Any]) -> None:
 
 def _print_place_notes(found: dict[str, Any]) -> None:
     """Print where given positions do not fit the codes of a receiver, or the fixed baseline."""
-    from lanebound.integrity.replay.code_places import NEAR_M
+    from lanebound.integrity.replay.code_epochs import NEAR_M
 
     given = found["positions_given_by"]
     remedy = "correct" if found["base_antenna_from"] == given["base"] else "give"
@@ -305,7 +305,7 @@ def record_sky(
     from lanebound.agents.cli.output import print_json
     from lanebound.agents.cli.progress import resumable, wait_for
     from lanebound.integrity.core.errors import ConfigError
-    from lanebound.integrity.replay.city_report import read_city
+    from lanebound.integrity.replay.city import read_city
     from lanebound.integrity.replay.sky_record import SkyRecordConfig, summary
     from lanebound.integrity.replay.sky_record import record_sky as make
 

@@ -56,7 +56,7 @@ class DriverDisplay:
 
     def render(self) -> NDArray[np.uint8] | None:
         """The picture of the environment below the light."""
-        from lanebound.envs.rendering.driver_display import with_display
+        from lanebound.envs.rendering.panel import with_display
         from lanebound.envs.rendering.theme import THEMES
 
         picture, now = self._env.render(), self._now or context_of(self._env)

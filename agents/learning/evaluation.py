@@ -15,8 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of_statistics
-from lanebound.agents.benchmark.seeds import SPLITS
-from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
+from lanebound.agents.benchmark.suite import SPLITS, SuiteConfig, parse_agents
 from lanebound.agents.checkpointing.folder import ResultFolder
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.foreign import load_checkpoint, require_foreign

@@ -8,7 +8,7 @@ from typing import Any
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
-from lanebound.agents.benchmark.seeds import SPLITS
+from lanebound.agents.benchmark.suite import SPLITS
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.agents.learning.shield import VecShielded

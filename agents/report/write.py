@@ -24,9 +24,8 @@ from lanebound.agents.benchmark.metrics import METRICS
 from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.replay import differences, replay
 from lanebound.agents.benchmark.results import Cell, Results
-from lanebound.agents.benchmark.source import source_digest
 from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
-from lanebound.agents.benchmark.store import CLIPS, EpisodeStore
+from lanebound.agents.benchmark.store import CLIPS, EpisodeStore, source_digest
 from lanebound.agents.benchmark.verdicts import limits_of_other_skies, opening
 from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.report.commands import replay_command

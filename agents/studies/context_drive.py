@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from lanebound.agents.checkpointing.runner import Advance
 from lanebound.envs.sky import SkyLevel
-from lanebound.integrity.assessment.charging_rates import charging_counts
-from lanebound.integrity.assessment.warning_rates import WarningCounts, sweep_thresholds
+from lanebound.integrity.assessment.warning_rates import WarningCounts, charging_counts, sweep_thresholds
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import Streams, named_generator
 from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig, CodeFix, code_fix

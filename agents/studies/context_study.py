@@ -20,9 +20,9 @@ from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, r
 from lanebound.agents.serialization import finite_or_none
 from lanebound.agents.studies.context_drive import DRIVES, DriveTable, MonitorSeries, drive_figures, drive_of, wrong_map
 from lanebound.agents.studies.context_tables import MAIN, RULES, summarise
-from lanebound.integrity.assessment.charging_rates import ChargingConfig
 from lanebound.integrity.assessment.plotting import INK, LIMIT_COLOUR, PL_COLOUR, legend, new_figure, save, tidy
 from lanebound.integrity.assessment.speed_power import SpeedPowerConfig, rest_power, speed_power
+from lanebound.integrity.assessment.warning_rates import ChargingConfig
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import deep_merge

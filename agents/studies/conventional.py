@@ -22,7 +22,7 @@ from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.studies.in_the_loop import rate_by_street, rate_cell
 from lanebound.agents.studies.street_drives import PACKAGES, StreetDrivesConfig, street_of, work_streets
-from lanebound.integrity.assessment.availability import find_outages
+from lanebound.integrity.assessment.accuracy import find_outages
 from lanebound.integrity.assessment.conventional_rtk import (
     ConventionalRtkConfig,
     ConventionalSolution,

@@ -26,7 +26,7 @@ from lanebound.integrity.monitoring.family.laws import (
     fit_rayleigh,
 )
 from lanebound.integrity.monitoring.family.overbounds import BoundForm, ErrorSides, overbound
-from lanebound.integrity.replay.city_report import read_city
+from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import TrackedEpochs, recorded_epochs
 
 __all__ = ["FitErrorsConfig", "FittedErrors", "class_rows", "code_errors_of", "fit_errors", "law_rows", "write_preset"]

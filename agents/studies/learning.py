@@ -35,10 +35,9 @@ from scipy.stats import binomtest
 from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.running import run
-from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.statistics import estimate, holm, student_ends, student_p, within
-from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.suite import SPLITS, SuiteConfig
+from lanebound.agents.benchmark.work import run
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts

@@ -39,7 +39,7 @@ from lanebound.integrity.monitoring.family.kinds import FAMILY, MonitorKind, app
 from lanebound.integrity.monitoring.family.levels import predicted_level
 from lanebound.integrity.monitoring.family.monitor import BY_ALL_RISKS, watch
 from lanebound.integrity.monitoring.family.outcome import MonitorVerdicts
-from lanebound.integrity.replay.city_report import read_city
+from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import TrackedEpochs, recorded_epochs
 from lanebound.integrity.sky.systems import System
 

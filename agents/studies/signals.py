@@ -30,8 +30,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.navigators.navigator import NavigatorConfig
-from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
-from lanebound.integrity.recorded.smartloc_raw import SmartLocRaw, read_smartloc_raw
+from lanebound.integrity.recorded.smartloc import SmartLoc, SmartLocRaw, read_smartloc, read_smartloc_raw
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.signal_choice import LETTERS
 from lanebound.integrity.sensors.gnss import GnssConfig

@@ -24,8 +24,8 @@ from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.sensors.campaign import FaultPriors, random_campaign
 from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.sky.city import build_city
-from lanebound.integrity.sky.materials import clad
 from lanebound.integrity.sky.road import Road
+from lanebound.integrity.sky.scene import clad
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 

@@ -16,8 +16,8 @@ from lanebound.envs.batch.sky_ahead_kernel import Forecast, HourTable, SkyRows
 from lanebound.envs.sky import Street
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.sky.constellation import SkyConfig
-from lanebound.integrity.sky.faces import Faces
 from lanebound.integrity.sky.forecast import SkyForecast
+from lanebound.integrity.sky.scene import Faces
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SkyMask

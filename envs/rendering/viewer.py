@@ -1,4 +1,4 @@
-"""The viewer: renders a frame to an array or to a window."""
+"""The viewer: renders a frame to an array or to a window, which is independent of other windows of the user."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.rendering.canvas import Canvas
+from lanebound.envs.rendering.canvas import Canvas, load_pygame
 from lanebound.envs.rendering.config import RenderingConfig
 from lanebound.envs.rendering.frame import Frame
 from lanebound.envs.rendering.map_view import camera_of, draw_map
@@ -18,12 +18,58 @@ from lanebound.envs.rendering.panel import draw_legend, draw_panel
 from lanebound.envs.rendering.roads import RoadDrawing
 from lanebound.envs.rendering.scenery import Scenery
 from lanebound.envs.rendering.theme import THEMES
-from lanebound.envs.rendering.window import Window
 
 if TYPE_CHECKING:
     import pygame
 
-__all__ = ["Viewer"]
+__all__ = ["Viewer", "Window"]
+
+
+class Window:
+    """Window that shows at most ``fps`` pictures per second until the user closes it."""
+
+    def __init__(self, width_px: int, height_px: int, title: str, fps: float) -> None:
+        self._pg = load_pygame()
+        self._ours = not self._pg.display.get_init()
+        if self._ours:
+            self._pg.display.init()
+        self._window: pygame.Window | None = self._pg.Window(title, (width_px, height_px))
+        self._clock = self._pg.time.Clock()
+        self._fps = fps
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the window is open; False after the user or :meth:`close` has closed it."""
+        return self._window is not None
+
+    def show(self, picture: pygame.Surface) -> None:
+        """Show a picture and wait until the time of the next picture; without effect if the window is closed."""
+        if self._window is not None and self._asked_to_close(self._window):
+            self.close()
+        if self._window is None:
+            return
+        self._window.get_surface().blit(picture, (0, 0))
+        self._window.flip()
+        self._clock.tick(self._fps)
+
+    def _asked_to_close(self, window: pygame.Window) -> bool:
+        """Process the close requests of this window; events of other windows remain in the queue."""
+        ours = False
+        for event in self._pg.event.get([self._pg.WINDOWCLOSE]):
+            if getattr(event, "window", None) == window:
+                ours = True
+            else:
+                self._pg.event.post(event)
+        return ours
+
+    def close(self) -> None:
+        """Close the window, and the display if this window has opened it."""
+        if self._window is None:
+            return
+        self._window.destroy()
+        self._window = None
+        if self._ours:
+            self._pg.display.quit()
 
 
 class Viewer:

@@ -16,8 +16,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_street
 from lanebound.integrity.sky.forecast import SkyForecast
-from lanebound.integrity.sky.materials import clad
-from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.scene import City, clad
 from lanebound.integrity.sky.survey import as_mapped
 from lanebound.integrity.sky.visibility import SkyMask
 

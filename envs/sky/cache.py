@@ -24,9 +24,8 @@ from lanebound.envs.sky.level import SkyLevel
 from lanebound.envs.sky.street import LaneMap, Street
 from lanebound.integrity import sky
 from lanebound.integrity.core.kernel_cache import cache_root
-from lanebound.integrity.sky.faces import Faces
 from lanebound.integrity.sky.forecast import SkyForecast
-from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.scene import City, Faces
 from lanebound.integrity.sky.visibility import SkyMask
 
 __all__ = ["key_of", "load", "remember", "save"]

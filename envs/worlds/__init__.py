@@ -1,7 +1,5 @@
 """Worlds of lanebound, plain scenarios of highway-env without navigation, and the declarations of all worlds."""
 
-from lanebound.envs.worlds.car_following import CarFollowingWorld
-from lanebound.envs.worlds.goals import has_crossed, has_left_roundabout, has_merged
 from lanebound.envs.worlds.highway import motorway_support
 from lanebound.envs.worlds.kinds import (
     Support,
@@ -11,8 +9,8 @@ from lanebound.envs.worlds.kinds import (
     world_kind,
     world_kinds,
 )
-from lanebound.envs.worlds.lane_keeping import LaneKeepingWorld
-from lanebound.envs.worlds.urban_canyon import UrbanCanyonWorld
+from lanebound.envs.worlds.lanes import has_crossed, has_left_roundabout, has_merged
+from lanebound.envs.worlds.streets import CarFollowingWorld, LaneKeepingWorld, UrbanCanyonWorld
 
 __all__ = [
     "CarFollowingWorld",

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex2 import as_version_3
 from lanebound.integrity.recorded.rinex_header import (
+    BDT_BEHIND_GPS_S,
     FIRST_LABEL,
     LABEL_AT,
     SYSTEMS,
@@ -29,7 +30,6 @@ from lanebound.integrity.recorded.rinex_header import (
     b1_in_band_2,
 )
 from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
-from lanebound.integrity.recorded.time_scales import BDT_BEHIND_GPS_S
 from lanebound.integrity.sky.systems import PRN_BEFORE
 
 __all__ = ["Move", "Observations", "SystemRows", "read_observations"]

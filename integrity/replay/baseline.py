@@ -6,6 +6,11 @@ both receivers track help to find integers; the fixed position takes the first b
 code position with its own levels. There is no motion model: static and moving rovers are processed alike, unless the
 rover is said to stand (``static``): float ambiguities then take its position as one for all epochs. Fixed positions do
 not.
+
+Slips that one signal shows of another: the difference of two phases of a satellite contains neither its range nor the
+receivers' motion. From one epoch to the next it changes by the ionosphere alone; the constant differences of the
+receivers are in its median over the satellites of a system. A jump beyond ``k`` standard deviations marks both signals
+as having lost their lock.
 """
 
 from __future__ import annotations
@@ -13,6 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -25,24 +31,145 @@ from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import MARK
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
+from lanebound.integrity.positioning.cycle_slips_kernel import MIN_COMMON
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.resolve_kernel import FIRST_SHARE
 from lanebound.integrity.positioning.rtk_config import FloatConfig, RtkConfig
-from lanebound.integrity.positioning.rtk_kernel import MOST_AMBIGUITIES
+from lanebound.integrity.positioning.rtk_kernel import MOST_AMBIGUITIES, weigh
 from lanebound.integrity.positioning.rtk_status import RtkStatus
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.differences import Arc, Reduced, arc_of, matched, reduce_epoch
-from lanebound.integrity.replay.pair_signals import SlipComparison, code_rows, entries_of, signals_of
-from lanebound.integrity.replay.rtk_stages import RtkStages
-from lanebound.integrity.replay.signal_choice import Choice, choose_signals
+from lanebound.integrity.replay.rtk_stages import Entries, RtkStages, Signals
+from lanebound.integrity.replay.signal_choice import LETTERS, Choice, choose_signals
+from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
 from lanebound.integrity.sky.broadcast import Ephemerides
+from lanebound.integrity.sky.systems import FIXABLE
 
-__all__ = ["Baseline", "BaselineConfig", "base_antenna", "date_text", "on_earth", "require_one_site", "solve_baseline"]
+__all__ = [
+    "Baseline",
+    "BaselineConfig",
+    "SlipComparison",
+    "base_antenna",
+    "code_rows",
+    "date_text",
+    "entries_of",
+    "on_earth",
+    "require_one_site",
+    "signals_of",
+    "solve_baseline",
+]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+Bools = NDArray[np.bool_]
+
+PLENTY = 7  # satellites with two signals that make the better position
+ENOUGH = 0.5  # share of the epochs of a second code of a band in which the first one makes it unnecessary
+
+
+def entries_of(choice: Choice, rover: Arc, base: Arc, satellites: Ints, cn0_min_dbhz: float) -> Entries:
+    """The signals that both receivers have tracked; ``satellites`` (S, 2) are system and PRN.
+
+    Every satellite with a further signal has an entry of its first one, too, which may be without measurements. A
+    second code of a band is an entry of the satellites that lack the first one.
+    """
+    tracked = [
+        ((arc.code_m != 0.0) & (arc.phase_m != 0.0) & (arc.cn0_dbhz >= cn0_min_dbhz) & arc.known[..., None]).sum(0)
+        for arc in (rover, base)
+    ]
+    epochs = np.minimum(tracked[0] / max(len(rover.known), 1), tracked[1] / max(len(base.known), 1))
+    wanted = np.zeros(epochs.shape, np.bool_)
+    for letter, names in choice.rover.items():
+        own = satellites[:, 0] == LETTERS[letter]
+        for k, name in enumerate(names):
+            wanted[own, k] = epochs[own, k] > 0.0
+            for earlier in range(k):
+                if names[earlier][0] == name[0]:
+                    wanted[own, k] &= epochs[own, earlier] < ENOUGH * epochs[own, k]
+    wanted[:, 0] |= wanted.any(-1)
+    satellite, column = np.nonzero(wanted)
+    system = satellites[satellite, 0]
+    first = np.full(len(satellites), -1)
+    first[satellite[column == 0]] = np.flatnonzero(column == 0)
+    return Entries(
+        satellite, column, choice.clock[system, column], first[satellite], choice.wavelength_m[system, column],
+        np.asarray(FIXABLE[system]),
+    )  # fmt: skip
+
+
+def signals_of(reduced: Reduced, entries: Entries, rtk: RtkConfig) -> Signals:
+    """The signals of one epoch."""
+    at = entries.satellite, entries.column
+    los, tracked, cn0 = np.ascontiguousarray(reduced.sight_enu[at[0]]), reduced.tracked[at], reduced.cn0_dbhz[at]
+    quality = _weighed(los, tracked, cn0, rtk)
+    return Signals(los, quality, tracked, cn0, reduced.code_m[at], reduced.phase_m[at], reduced.lost[at])
+
+
+def _weighed(los: Array, tracked: Bools, cn0: Array, rtk: RtkConfig) -> Array:
+    """Variance factors (N,) of signals."""
+    signals, marks = np.zeros(len(los), OBSERVED_SIGNAL), np.zeros(len(los), MARK)
+    signals["e"], signals["tracked"], signals["cn0"] = los, tracked, cn0
+    weigh(signals, rtk.cn0_knee_dbhz, marks)
+    return marks["quality"].copy()
+
+
+def code_rows(reduced: Reduced, los: Array, rtk: RtkConfig) -> tuple[Ints, Array, Array]:
+    """Satellites (n,) whose codes make a position, their codes [m] and variances [m^2], of one clock for each system.
+
+    The mean of the first two signals where enough satellites have both, otherwise the first one: means and single codes
+    do not have the same clock.
+    """
+    both = np.asarray(reduced.tracked[:, :2].all(-1))
+    for columns, tracked in ((2, both), (1, np.ascontiguousarray(reduced.tracked[:, 0]))):
+        cn0 = -10.0 * np.log10((10.0 ** (-0.1 * reduced.cn0_dbhz[:, :columns])).mean(-1))
+        quality, high = _weighed(los, tracked, cn0, rtk), los[:, 2] > np.sin(np.deg2rad(rtk.elevation_mask_deg))
+        rows = np.flatnonzero(tracked & high & (cn0 >= rtk.cn0_min_dbhz))
+        if rows.size >= PLENTY:
+            break
+    return rows, reduced.code_m[rows, :columns].mean(-1), quality[rows] * rtk.sigma_code_m**2 / columns
+
+
+class SlipComparison:
+    """Compares the phases of each satellite's signals with those of the epoch before."""
+
+    def __init__(self, entries: Entries, rtk: RtkConfig, slips: CycleSlipConfig) -> None:
+        self._pairs = _pairs_of(entries)
+        self._sigma, self._slips = rtk.sigma_phase_m, slips
+        self._last = np.zeros(len(entries.clock))
+        clock = entries.clock[self._pairs]
+        self._kind = clock[:, 0] * 256 + clock[:, 1]
+
+    def lost(self, signals: Signals, dt_s: float) -> Bools:
+        """Which signals (N,) have lost their lock: by their flags, or by a jump against another of the satellite."""
+        here = signals.tracked & (signals.phase != 0.0)
+        lost = signals.lost.copy()
+        if len(self._pairs):
+            known = here & (self._last != 0.0) & ~lost
+            pairs = np.flatnonzero(known[self._pairs].all(-1))
+            one, other = self._pairs[pairs].T
+            moved = signals.phase - self._last
+            change = moved[one] - moved[other]
+            variance = 2.0 * self._sigma**2 * (signals.quality[one] + signals.quality[other])
+            limit = self._slips.threshold * np.sqrt(variance + (self._slips.ionosphere_rate_mps * dt_s) ** 2)
+            for kind in np.unique(self._kind[pairs]):
+                same = self._kind[pairs] == kind
+                if np.count_nonzero(same) >= MIN_COMMON:
+                    change[same] -= np.median(change[same])
+            jumped = np.abs(change) > limit
+            lost[one[jumped]] = lost[other[jumped]] = True
+        self._last = np.where(here, signals.phase, 0.0)
+        return lost
+
+
+def _pairs_of(entries: Entries) -> Ints:
+    """Pairs of entries (P, 2) of the same satellite."""
+    found = [pair for host in np.unique(entries.host) for pair in combinations(np.flatnonzero(entries.host == host), 2)]
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
+
 
 MIN_MOVE_M = 0.3  # distance between fixed positions for a new heading
 POSITION_ROUNDS = 6  # iterations of the code position, which start at the base

@@ -27,8 +27,8 @@ from lanebound.integrity.recorded.smartloc import Odometry
 from lanebound.integrity.replay.code_epochs import reckoned_steps
 from lanebound.integrity.replay.doppler_rates import carrier_rates
 from lanebound.integrity.replay.recording_checks import check_comma
+from lanebound.integrity.replay.service_drive import read_service_epochs
 from lanebound.integrity.replay.service_epochs import ServiceEpochs
-from lanebound.integrity.replay.service_report import read_service_epochs
 from lanebound.integrity.replay.window import LocalFrame
 from lanebound.integrity.sky.systems import System
 

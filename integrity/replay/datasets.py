@@ -8,7 +8,7 @@ from typing import Any
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.progress import Progress, silent
-from lanebound.integrity.replay.imu_outages_report import imu_files
+from lanebound.integrity.replay.imu_outages import imu_files
 from lanebound.integrity.replay.pair_files import find_pair, observation_files
 
 __all__ = ["kind_of", "replay_folder"]
@@ -58,7 +58,7 @@ def replay_folder(
     With ``service`` the recording runs through a navigator with these positioning services (:mod:`.service_report`),
     and ``changes`` are those of its configuration.
 
-    ``changes`` are overrides of the configuration of the kind: :class:`~.city_report.CityReplay`,
+    ``changes`` are overrides of the configuration of the kind: :class:`~.city.CityReplay`,
     :class:`~.outages.OutageConfig`, :class:`~.imu_outages.ImuOutageConfig` or :class:`~.baseline.BaselineConfig`.
     ``progress`` is called with the number of solved epochs and the total number. ``navigator`` names a filter, by kind
     or preset, in place of the method of the kind of data set; ``changes`` are then those of
@@ -76,32 +76,30 @@ def replay_folder(
         raise InputError(f"{option} must be left out for an inertial log, which has neither codes nor wheels, "
                          f"got {navigator or roads or ', '.join(service)}: replay it alone")  # fmt: skip
     if roads is not None:
-        from lanebound.integrity.replay.context_report import write_context
+        from lanebound.integrity.replay.context_drive import write_context
 
         return write_context(folder, kind, roads, out, changed, progress)
     if service:
-        from lanebound.integrity.replay.service_report import write_service
+        from lanebound.integrity.replay.service_drive import write_service
 
         return write_service(folder, kind, service, out, changed, progress)
     if navigator is not None:
         if kind == "rinex":
             raise InputError("navigator must be left out for RINEX, which has no wheels and no gyro, "
                              f"got {navigator}: give a smartLoc or comma2k19 folder")  # fmt: skip
-        from lanebound.integrity.replay.filter_report import write_filter
+        from lanebound.integrity.replay.filter_drive import write_filter
 
         return write_filter(folder, kind, out, navigator, changed)
     if kind == "smartloc":
-        from lanebound.integrity.replay.city_report import CityReplay, write_city
+        from lanebound.integrity.replay.city import CityReplay, write_city
 
         return write_city(folder, out, CityReplay.build(None, changed), progress)
     if kind == "comma2k19":
-        from lanebound.integrity.replay.outages import OutageConfig
-        from lanebound.integrity.replay.outages_report import write_outages
+        from lanebound.integrity.replay.outages import OutageConfig, write_outages
 
         return write_outages(folder, out, OutageConfig.build(None, changed))
     if kind == "imu_log":
-        from lanebound.integrity.replay.imu_outages import ImuOutageConfig
-        from lanebound.integrity.replay.imu_outages_report import write_imu_outages
+        from lanebound.integrity.replay.imu_outages import ImuOutageConfig, write_imu_outages
 
         return write_imu_outages(folder, out, ImuOutageConfig.build(None, changed))
     return _replay_rinex(folder, out, changed, progress)

@@ -7,16 +7,27 @@ lacks is switched off and named. The heading is not given: it is found by the Do
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.record import Record
+from lanebound.integrity.assessment.series import series_figure
+from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError, InputError
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic, geodetic_from_ecef
+from lanebound.integrity.core.frames import (
+    ecef_from_enu_matrix,
+    ecef_from_geodetic,
+    geodetic_from_ecef,
+    track_from_enu_matrix,
+)
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
@@ -25,20 +36,30 @@ from lanebound.integrity.navigators.vehicle_filter.parameters import filter_para
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import FilterOutputs, MeasuredMotion, PositionFix
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings
 from lanebound.integrity.positioning.filters.code_position import CodePosition, CodeSource, locate_by_codes
-from lanebound.integrity.recorded.comma import Comma
+from lanebound.integrity.recorded.comma import Comma, read_comma
 from lanebound.integrity.recorded.smartloc import SmartLoc
+from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import path_headings, recorded_epochs
 from lanebound.integrity.replay.outages import averaged
 from lanebound.integrity.replay.reckoning import reckon
+from lanebound.integrity.replay.recording_checks import check_comma, check_smartloc
 from lanebound.integrity.sensors.gnss import GnssEpoch
 from lanebound.integrity.sensors.imu import ImuSample
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sensors.odometer import OdometerSample
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["FilterDrive", "FilterReplayConfig", "SensorDrive", "comma_sensors", "drive_filter", "smartloc_sensors"]
+__all__ = [
+    "FilterDrive",
+    "FilterReplayConfig",
+    "SensorDrive",
+    "comma_sensors",
+    "drive_filter",
+    "filter_summary",
+    "smartloc_sensors",
+    "write_filter",
+]
 
-Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 WIDEST_RAD = np.deg2rad(10.0)  # deviation of a path's heading that begins a filter
 AFTER_GAP_S = 10.0  # after a gap of the sensors errors are not judged
@@ -262,3 +283,107 @@ def _gathered(c: FilterConfig, sensors: SensorDrive, found: Sequence[FilterOutpu
         "alert": rows("alert"), "available": rows("available"), "used": rows("used"), "rejected": rows("rejected"),
     }  # fmt: skip
     return FilterDrive(c, sensors, **values)  # type: ignore[arg-type]
+
+
+Array = NDArray[np.float64]
+
+CAUTION = "epochs of one drive are not independent: the exact intervals are too narrow"
+
+
+def write_filter(
+    folder: Path, kind: str, out: Path, navigator: str, changes: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[Path]]:
+    """Replay a smartLoc or comma2k19 folder through a filter; writes ``replay.json`` and ``series.png`` into ``out``.
+
+    navigator : name of a preset, or ``filter``; ``changes`` of :class:`FilterReplayConfig`
+
+    Raises
+    ------
+    InputError
+        The folder lacks what the filter needs.
+    ConfigError
+        The navigator is no filter, or a change is invalid.
+    """
+    named = {"navigator": NavigatorConfig.data_of(navigator)}
+    config = FilterReplayConfig.build(None, deep_merge(named, dict(changes)))
+    if kind == "smartloc":
+        city = read_city(folder)
+        sensors, notes, agreement = smartloc_sensors(city, config), city.notes, check_smartloc(city)
+    else:
+        segment = read_comma(folder)
+        agreement = check_comma(segment)
+        sensors, notes = comma_sensors(segment, config), segment.notes
+    drive = drive_filter(sensors, config)
+    found = {"dataset": "filter", "recording": kind, "navigator": navigator, "stopped": notes}
+    found["agreement"] = {name: of.figures() for name, of in agreement.items()}
+    found |= filter_summary(drive, config)
+    out.mkdir(parents=True, exist_ok=True)
+    summary = out / "replay.json"
+    summary.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    figure = series_figure(_record(drive, 1), risk=config.risks[0])
+    return found, [summary, save(figure, out / "series.png")]
+
+
+def filter_summary(drive: FilterDrive, config: FilterReplayConfig) -> dict[str, Any]:
+    """Statistics as JSON data, over the epochs with a level and a known truth."""
+    s, error = drive.sensors, _errors(drive)
+    levelled = s.known & np.isfinite(drive.levels_m[:, 0]).all(-1)
+    fixed = s.known & s.fix.valid
+    off = np.linalg.norm(error, axis=-1)
+    fix_off = np.linalg.norm(s.fix.position_m[:, :2] - s.truth_m, axis=-1)
+    return {
+        "filter": drive.config.filter,
+        "epochs": int(s.time_s.size),
+        "with_truth": int(s.known.sum()),
+        "with_level": int(levelled.sum()),
+        "first_level_s": float(s.time_s[np.argmax(levelled)]) if levelled.any() else None,
+        "sensors": list(s.instruments),
+        "lacking": list(s.lacking),
+        "horizontal_m": _spread(off[levelled]),
+        "positions_m": _spread(fix_off[fixed]),
+        "positions": {
+            "valid": int(s.fix.valid.sum()), "used": int(drive.used.sum()), "rejected": int(drive.rejected.sum()),
+            "nis_median": float(np.median(drive.nis[drive.nis > 0.0])) if (drive.nis > 0.0).any() else None,
+        },
+        "curved_mean": float(drive.curved[levelled].mean()) if levelled.any() else None,
+        "trust": {
+            "median_m": float(np.median(drive.trust_m[levelled])) if levelled.any() else None,
+            "exceeded": int((off[levelled] > drive.trust_m[levelled]).sum()),
+        },
+        "levels": {
+            f"{risk:g}": {
+                axis: asdict(measure_bounding(np.abs(error[levelled, q]), drive.levels_m[levelled, 1 + k, q]))
+                for q, axis in enumerate(("at", "ct"))
+            }
+            for k, risk in enumerate(config.risks)
+            if levelled.any()
+        },
+        "caution": CAUTION,
+    }  # fmt: skip
+
+
+def _errors(drive: FilterDrive) -> Array:
+    """Estimate less truth along and across the estimated heading, (T, 2)."""
+    off = drive.position_m - drive.sensors.truth_m
+    return np.asarray((track_from_enu_matrix(drive.heading_rad) @ off[..., None])[..., 0])
+
+
+def _spread(value: Array) -> dict[str, float] | None:
+    """RMS, median, 95 % and largest."""
+    if not value.size:
+        return None
+    return {
+        "rms": float(np.sqrt(np.square(value).mean())), "median": float(np.median(value)),
+        "p95": float(np.quantile(value, 0.95)), "max": float(value.max()),
+    }  # fmt: skip
+
+
+def _record(drive: FilterDrive, case: int) -> Record:
+    """Epochs with a truth, with the levels of a case."""
+    s, error = drive.sensors, _errors(drive)
+    k = s.known
+    level = drive.levels_m[k, case]
+    return Record(
+        s.time_s[k], drive.mode[k], error[k, 0], error[k, 1], level[:, 0], level[:, 1], drive.alert[k],
+        drive.available[k],
+    )  # fmt: skip

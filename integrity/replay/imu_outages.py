@@ -13,21 +13,26 @@ outage, less the acceleration of the solution there: slope and bias of the accel
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
 from lanebound.integrity.monitoring.risk import RiskConfig
-from lanebound.integrity.recorded.imu_log import G_MPS2, ImuLog, levelled
-from lanebound.integrity.recorded.rtklib import RtkSolution
+from lanebound.integrity.recorded.imu_log import G_MPS2, ImuLog, levelled, read_imu_log
+from lanebound.integrity.recorded.rtklib import RtkSolution, read_rtk_solution
+from lanebound.integrity.recorded.series import notes
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
-from lanebound.integrity.replay.outages import OutageErrors, averaged
+from lanebound.integrity.replay.outages import OutageErrors, averaged, by_age, drift_figure
 from lanebound.integrity.replay.reckoning import reckon, turned
 from lanebound.integrity.replay.sensor_checks import (
     ACCELERATION,
@@ -43,7 +48,15 @@ from lanebound.integrity.replay.sensor_checks import (
     require_lag,
 )
 
-__all__ = ["ImuOutageConfig", "InertialMotion", "motion_of_log", "run_inertial_outages"]
+__all__ = [
+    "AGES_S",
+    "ImuOutageConfig",
+    "InertialMotion",
+    "imu_files",
+    "motion_of_log",
+    "run_inertial_outages",
+    "write_imu_outages",
+]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -356,3 +369,64 @@ def _levels(speed_mps: Array, heading_rad: Array, age_s: Array, config: ImuOutag
         box = np.abs(np.stack([np.cos(turn), np.sin(turn)], -1)) * grown[: k + 1, None]
         levels[:, k] = bridge.step(dt, speed_mps[:, k], heading_rad[:, k])[0] + dt * box.sum(1)
     return levels
+
+
+AGES_S = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
+TAG = ".tag"
+CAUTION = (
+    "the reference is the solution of the receiver, not a truth; outages overlap and are of one drive: the exact "
+    "intervals are too narrow"
+)
+
+
+def imu_files(folder: Path) -> list[Path]:
+    """Time tags of inertial logs (``NAME.csv.tag``) in a folder."""
+    return sorted(folder.glob(f"*.csv{TAG}"))
+
+
+def write_imu_outages(
+    folder: Path, out: Path, config: ImuOutageConfig | None = None
+) -> tuple[dict[str, Any], list[Path]]:
+    """Replay a folder with ``NAME.csv``, ``NAME.csv.tag`` and one ``.pos``; writes ``replay.json`` and ``drift.png``.
+
+    Raises
+    ------
+    InputError
+        A file is missing, there are several of a kind, or the drive cannot be used.
+    """
+    config = config or ImuOutageConfig()
+    tag, solution = _only(imu_files(folder), folder, "*.csv.tag"), _only(_solutions(folder), folder, "*.pos")
+    plain, zipped = tag.with_suffix(""), tag.with_suffix(".gz")
+    path = zipped if zipped.is_file() and not plain.is_file() else plain
+    log, track = read_imu_log(path, tag), read_rtk_solution(solution)
+    motion, calibration = motion_of_log(log, track, config)
+    outages = run_inertial_outages(motion, config)
+    ages = (*(age for age in AGES_S if age < config.longest_s), config.longest_s)
+    figures = {
+        "dataset": "imu_log", "caution": CAUTION, "files": [path.name, solution.name],
+        "risk": config.risk.integrity_risk, "rate_hz": log.rate_hz,
+        "agreement": calibration.pop("agreement"), "calibration": calibration,
+        "outages": len(outages.start_s), "left_out_at_gaps": outages.left_out,
+        "speed_mps": [float(v) for v in np.quantile(outages.speed_mps, [0.0, 0.5, 1.0])],
+        "by_age": by_age(outages, ages),
+        "all_ages": {
+            axis: asdict(measure_bounding(outages.error_m[..., q], outages.pl_m[..., q]))
+            for q, axis in enumerate(("at", "ct"))
+        },
+        "stopped": notes((path.name, log.stopped, log.timing), (solution.name, track.stopped, track.timing)),
+    }  # fmt: skip
+    out.mkdir(parents=True, exist_ok=True)
+    summary = out / "replay.json"
+    summary.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return figures, [summary, save(drift_figure(outages, config.risk.integrity_risk), out / "drift.png")]
+
+
+def _solutions(folder: Path) -> list[Path]:
+    return sorted([*folder.glob("*.pos"), *folder.glob("*.pos.gz")])
+
+
+def _only(found: list[Path], folder: Path, what: str) -> Path:
+    if len(found) != 1:
+        names = ", ".join(path.name for path in found) or "none"
+        raise InputError(f"{folder} must have one {what} beside its inertial log, has {names}: leave one there")
+    return found[0]

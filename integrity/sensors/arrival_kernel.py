@@ -2,23 +2,36 @@
 
 Letters: ``e`` unit vector to the satellite, ``x`` antenna [m] and ``v`` its velocity [m/s], all in the frame of the
 street; ``n . x = c`` the plane of a face; ``p`` a point and ``t`` the direction of the line of an edge.
+
+An arrival is the direct ray, a diffracted ray or a reflection: its amplitude over that of an unobstructed direct ray,
+its extra path L and rate dL/dt, and the phase of its reflection. The receiver tracks the strongest arrival r; the
+others disturb it. With ``a_i = A_i / A_r``, ``l_i = L_i - L_r`` and ``p_i = 2 pi l_i / lambda + phase_i - phase_r``:
+
+- code: ``L_r + t``, t the zero of the coherent early-minus-late discriminator of the sum (:func:`code_delay`); for one
+  short reflection ``a l cos p / (1 + a cos p)``, at most ``a D / 2`` chips, 0 beyond ``1 + D / 2`` chips;
+- carrier: the phase of the sum, ``L_r + lambda / 2 pi angle(1 + sum a_i exp(j p_i))``, followed from epoch to epoch
+  (:func:`follow_carrier`);
+- range rate: the time derivative of the carrier;
+- amplitude: ``A_r abs(1 + sum a_i exp(j p_i))``.
+
+The carrier counts whole cycles: where reflections of a total amplitude above that of the tracked arrival encircle it,
+the phase of the sum turns on, and the loop with it. A cycle is lost only in a fade: while the sum is more than 20 dB
+below the tracked arrival, the loop holds its phase, and it pulls in at the nearest cycle when the fade is over. The
+same holds where an arrival begins or ends at the edge of an obstacle. A loop that the present C/N0 is too low for loses
+its lock, whatever the smoothed estimate still says.
+
+In motion the phases turn by ``f_i = (dl_i/dt) / lambda`` cycles a second. A tracking loop of noise bandwidth B averages
+over turns that are faster than it follows: the loop sees ``a_i / sqrt(1 + (f_i / B)^2)``, the gain of a first-order low
+pass. Sources: van Nee 1993; Braasch 1996 (code and carrier error of one reflection); Kaplan and Hegarty 2017, ch. 9.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
-from lanebound.integrity.sensors.multipath_kernel import (
-    ARRIVAL,
-    MOST_ARRIVALS,
-    Loops,
-    combine,
-    follow_carrier,
-    strongest_of,
-)
 from lanebound.integrity.sky.propagation_kernel import (
     antenna_amplitude,
     diffraction_loss_db,
@@ -33,14 +46,183 @@ __all__ = [
     "ARRIVAL",
     "BANDS",
     "DIFFRACTED",
+    "MOST_ARRIVALS",
     "MULTIPATH",
     "PATH_RULES",
     "TRACKED",
     "WORK",
+    "Composite",
+    "Loops",
     "SignalGeometry",
+    "code_delay",
+    "combine",
     "find_arrivals",
+    "follow_carrier",
+    "strongest_of",
     "track",
 ]
+
+
+ARRIVAL = record(
+    amplitude="over that of an unobstructed direct ray [-]",
+    phase_rad="delay of the phase at the face [rad]",
+    excess_m="extra path L [m]",
+    rate_mps="dL/dt [m/s]",
+    before_m="L at the last epoch; of a new arrival L [m]",
+    source="what it is: a value of arrival_kernel.TRACKED.arrival",
+)
+TWO_PI = 2.0 * math.pi
+MOST_ARRIVALS = 3  # the direct or diffracted ray, and two reflections
+STEPS, SETTLED, LEAST_SLOPE = 8, 1e-12, 0.05
+LEAST_POWER = 0.01  # a loop of some 15 Hz follows no deeper fade: the rate of its phase would exceed the bandwidth
+STEP_RAD, MOST_STEPS = TWO_PI / 128.0, 2048  # of the phase of a sum that may encircle the origin
+
+
+class Loops(NamedTuple):
+    """Figures of a receiver: wavelength and chip [m], correlator spacing D [chips], bandwidths of the loops [Hz]."""
+
+    wavelength_m: Any
+    chip_m: Any
+    spacing_chips: Any
+    code_hz: Any
+    carrier_hz: Any
+
+
+class Composite(NamedTuple):
+    """Errors of code [m] and range rate [m/s] of the sum of arrivals, and its amplitude [-]."""
+
+    code_m: Any
+    rate_mps: Any
+    amplitude: Any
+
+
+@jit
+def _early_less_late(x, half):  # type: ignore[no-untyped-def]
+    """``R(x - D/2) - R(x + D/2)`` of the triangular correlation R, and its slope; x and D/2 = ``half`` in chips."""
+    early, late = abs(x - half), abs(x + half)
+    value = max(1.0 - early, 0.0) - max(1.0 - late, 0.0)
+    slope = 0.0
+    if early < 1.0:
+        slope += 1.0 if x < half else -1.0
+    if late < 1.0:
+        slope -= 1.0 if x < -half else -1.0
+    return value, slope
+
+
+@jit
+def code_delay(weights, delays, half):  # type: ignore[no-untyped-def]
+    """Delay at which a code loop settles, in chips after the tracked arrival; weights and delays are tuples.
+
+    Zero of ``S(t) = E(t) + sum w_i E(t - l_i)`` nearest to 0, E the discriminator's curve, ``w_i = a_i cos p_i``, l_i
+    in chips; by Newton's method on straight pieces. A loop cannot be farther off than half the spacing for each unit
+    of relative amplitude, which bounds what an almost complete cancellation would give.
+    """
+    t, most = 0.0, 0.0
+    for weight in weights:
+        most += abs(weight) * half
+    if most == 0.0:
+        return 0.0
+    for _ in range(STEPS):
+        value, slope = _early_less_late(t, half)
+        for i in range(len(weights)):
+            v, s = _early_less_late(t - delays[i], half)
+            value += weights[i] * v
+            slope += weights[i] * s
+        if abs(value) < SETTLED or not slope > LEAST_SLOPE:
+            break
+        t -= value / slope
+    return min(max(t, -most), most)
+
+
+@jit
+def strongest_of(arrivals, count):  # type: ignore[no-untyped-def]
+    """Index of the arrival of most amplitude among the first ``count`` >= 1."""
+    best = 0
+    for i in range(1, count):
+        if arrivals[i].amplitude > arrivals[best].amplitude:
+            best = i
+    return best
+
+
+@jit
+def _disturbance(other, main, loops):  # type: ignore[no-untyped-def]
+    """Effect of another arrival on the tracked one: (amplitude in the carrier loop, in the code loop, delay [m], phase,
+    turns of the phase [1/s])."""
+    a = other.amplitude / main.amplitude
+    delay, turns = other.excess_m - main.excess_m, (other.rate_mps - main.rate_mps) / loops.wavelength_m
+    phase = TWO_PI * (delay / loops.wavelength_m) + other.phase_rad - main.phase_rad
+    in_code = a / math.sqrt(1.0 + (turns / loops.code_hz) ** 2)
+    in_carrier = a / math.sqrt(1.0 + (turns / loops.carrier_hz) ** 2)
+    return in_carrier, in_code, delay, phase, turns
+
+
+@jit
+def combine(arrivals, count, tracked, loops):  # type: ignore[no-untyped-def]
+    """The composite of the first ``count`` arrivals (records ARRIVAL), 1 to MOST_ARRIVALS, of which one is tracked."""
+    main, wave = arrivals[tracked], loops.wavelength_m
+    if count == 1:
+        return Composite(main.excess_m, main.rate_mps, main.amplitude)
+    re, im, re_rate, im_rate = 1.0, 0.0, 0.0, 0.0
+    weights, delays = (0.0, 0.0), (0.0, 0.0)
+    for i in range(count):
+        if i == tracked:
+            continue
+        seen, in_code, delay, phase, turns = _disturbance(arrivals[i], main, loops)
+        cosine, sine = math.cos(phase), math.sin(phase)
+        weights, delays = (weights[1], in_code * cosine), (delays[1], delay / loops.chip_m)
+        re += seen * cosine
+        im += seen * sine
+        re_rate -= seen * sine * TWO_PI * turns
+        im_rate += seen * cosine * TWO_PI * turns
+    power = max(re * re + im * im, LEAST_POWER)
+    code = loops.chip_m * code_delay(weights, delays, 0.5 * loops.spacing_chips)
+    rate = wave / TWO_PI * (re * im_rate - im * re_rate) / power
+    return Composite(main.excess_m + code, main.rate_mps + rate, main.amplitude * math.sqrt(power))
+
+
+@jit
+def follow_carrier(arrivals, count, tracked, loops, last_m):  # type: ignore[no-untyped-def]
+    """Delay of the carrier of the sum of arrivals [m], continued from that of the last epoch, ``last_m``; NaN: a new
+    lock.
+
+    The phase of the sum is followed from the extra paths of the last epoch to those of this one. One step is enough
+    unless the others together exceed the tracked arrival.
+    """
+    main, wave = arrivals[tracked], loops.wavelength_m
+    first, angle = _turn(arrivals, count, tracked, loops) if count > 1 else (0.0, 0.0)
+    carrier = main.excess_m + wave * (main.phase_rad + angle) / TWO_PI
+    if not last_m == last_m:
+        return carrier
+    began = main.before_m + wave * (main.phase_rad + first) / TWO_PI
+    return carrier + wave * math.floor((last_m - began) / wave + 0.5)
+
+
+@jit
+def _turn(arrivals, count, tracked, loops):  # type: ignore[no-untyped-def]
+    """Phase of the sum against the tracked arrival at the last epoch, and now, followed in between."""
+    main, wave = arrivals[tracked], loops.wavelength_m
+    sizes, phases, changes = (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)
+    for i in range(count):
+        if i == tracked:
+            continue
+        seen, _, delay, phase, _ = _disturbance(arrivals[i], main, loops)
+        change = TWO_PI * (delay - (arrivals[i].before_m - main.before_m)) / wave
+        sizes, phases, changes = (sizes[1], seen), (phases[1], phase - change), (changes[1], change)
+    steps = 1
+    if sizes[0] + sizes[1] >= 1.0:
+        steps = int(min(max(abs(changes[0]), abs(changes[1])) / STEP_RAD + 1.0, MOST_STEPS))
+    first, angle = 0.0, 0.0
+    for k in range(steps + 1):
+        p, q = phases[0] + changes[0] * k / steps, phases[1] + changes[1] * k / steps
+        re = 1.0 + sizes[0] * math.cos(p) + sizes[1] * math.cos(q)
+        im = sizes[0] * math.sin(p) + sizes[1] * math.sin(q)
+        if k == 0:
+            first = angle = math.atan2(im, re)
+        elif re * re + im * im >= LEAST_POWER:
+            turn = math.atan2(im, re) - angle
+            angle += turn - TWO_PI * math.floor(turn / TWO_PI + 0.5)
+    return first, angle
+
 
 BANDS = 2  # that a receiver has at most
 MATERIALS = 4  # members of materials.Material

@@ -1,6 +1,6 @@
 """Faults with a start, a duration and a profile, and their schedule.
 
-The kinds are declared in :mod:`.fault_table`; :func:`~.fault_registry.register_fault` adds others.
+The kinds are declared in :mod:`.fault_registry`; :func:`~.fault_registry.register_fault` adds others.
 """
 
 from __future__ import annotations

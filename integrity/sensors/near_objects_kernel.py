@@ -28,7 +28,7 @@ NEAR_RULES = record(
     code_per_m="faster decay of the code's by the speed [1/m]",
     phase_per_m="the same of the carrier's [1/m]",
 )
-"""Figures of :class:`~lanebound.integrity.sensors.near_objects.NearObjectsConfig`."""
+"""Figures of :class:`~lanebound.integrity.sensors.gnss.NearObjectsConfig`."""
 
 NEAR = record(
     code=("f8", (NEAR_BANDS,), "of codes, by band [-]"),

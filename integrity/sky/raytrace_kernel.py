@@ -99,7 +99,7 @@ class MaskRows(NamedTuple):
 
 
 class SatelliteRows(NamedTuple):
-    """Satellites of an epoch, as in :class:`~lanebound.integrity.sky.view.SkyView`.
+    """Satellites of an epoch, as in :class:`~lanebound.integrity.sky.track.SkyView`.
 
     los (K, S, 3); elevation, azimuth (K, S) [rad]; above (K, S); system (S,).
     """

@@ -21,8 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.core.records import Records, one_record, packed
-from lanebound.integrity.sky.faces import Faces
-from lanebound.integrity.sky.materials import material_table, permittivities
 from lanebound.integrity.sky.raytrace_kernel import (
     MASK_RULES,
     RECEPTION,
@@ -33,7 +31,7 @@ from lanebound.integrity.sky.raytrace_kernel import (
     mask_rows,
 )
 from lanebound.integrity.sky.road import Road
-from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.scene import City, Faces, material_table, permittivities
 from lanebound.integrity.sky.view import SkyView
 
 __all__ = ["Reception", "SignalPath", "SkyMask", "cell_centres", "cells_of", "distinct_antennas"]

@@ -12,7 +12,7 @@ from benchmarks import made_up_folder, made_up_results
 from typer.testing import CliRunner
 
 from lanebound.agents import report
-from lanebound.agents.benchmark import Results, running
+from lanebound.agents.benchmark import Results, work
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli import app
@@ -41,7 +41,7 @@ def driven(monkeypatch, results):
         on_progress(RunProgress(of=2, done=1, left_s=3700.0))
         return results
 
-    monkeypatch.setattr(running, "run_plan", made_up)
+    monkeypatch.setattr(work, "run_plan", made_up)
     monkeypatch.setattr(report, "write_report", lambda results, out, on_clip: out / "report.html")
     return plans
 
@@ -99,8 +99,8 @@ def test_tables_stand_there_before_the_page_is_written(driven, tmp_path, monkeyp
 
 
 def test_nothing_is_announced_where_nothing_is_to_be_driven(driven, results, tmp_path, monkeypatch):
-    plan = running.BenchmarkPlan(results.suite, tmp_path, [], [], 36, [], {})
-    monkeypatch.setattr(running.BenchmarkPlan, "of", lambda *arguments: plan)
+    plan = work.BenchmarkPlan(results.suite, tmp_path, [], [], 36, [], {})
+    monkeypatch.setattr(work.BenchmarkPlan, "of", lambda *arguments: plan)
     told = run("benchmark", "quick", "--out", str(tmp_path))
     assert told.exit_code == 0
     assert told.stderr == "36 episodes, all stored already: nothing to drive.\n"
@@ -238,7 +238,7 @@ def test_who_failed_gets_no_colour_and_figures_of_fewer_seeds_say_so(capsys, mon
 
 
 def test_each_reference_has_its_differences_and_untuned_caution_is_named(capsys, monkeypatch):
-    monkeypatch.setattr("lanebound.agents.benchmark.untuned.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
+    monkeypatch.setattr("lanebound.agents.benchmark.suite.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
     given = {"agents": ["nominal", "cautious", "integrity_aware"], "envs": ["CarFollowing"]}
     told = coloured(made_up_results(**given, reference=["nominal", "cautious"]), capsys, monkeypatch)
     urban, dense = told.split("dense sky")
@@ -264,7 +264,7 @@ def test_a_run_in_which_one_agent_always_fails_does_not_end_well(driven, results
     failing = replace(results, outcomes=outcomes)
     assert command._always_failing(results) == []
     assert command._always_failing(failing) == [agent]
-    monkeypatch.setattr(running, "run_plan", lambda plan, jobs, budget_h, on_progress: failing)
+    monkeypatch.setattr(work, "run_plan", lambda plan, jobs, budget_h, on_progress: failing)
     told = run("benchmark", "quick", "--out", str(tmp_path), "--seeds", "2", "--set", "skies=[open]")
     assert told.exit_code == 1
     assert f"every episode of {agent} failed" in told.stderr

@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from typer.testing import CliRunner
 
 from lanebound.agents.benchmark import SuiteConfig
-from lanebound.agents.benchmark.running import BenchmarkPlan
+from lanebound.agents.benchmark.work import BenchmarkPlan
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import in_a_row

@@ -10,16 +10,13 @@ import pytest
 
 from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli.kinds import resolve
-from lanebound.agents.studies import study
-from lanebound.agents.studies.urban_drive import UrbanDriveConfig, outage_lengths_s
+from lanebound.agents.studies import urban_drive_study as study
+from lanebound.agents.studies.urban_drive import MODES, RISKS, UrbanDriveConfig, outage_lengths_s, risk_key
 from lanebound.agents.studies.urban_drive_study import (
     CELLS,
-    MODES,
-    RISKS,
     check,
     is_short,
     lookup,
-    risk_key,
     rows_against_paper,
     run_study,
     summarise,

@@ -25,7 +25,7 @@ from lanebound.agents.studies.barrier_promise import (
     run_promise,
 )
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.sensors.fault_table import FAULT_TABLE
+from lanebound.integrity.sensors.fault_registry import FAULT_TABLE
 
 C = BarrierConfig()
 QUICK = BarrierPromiseConfig(episodes=5, length_s=6.0, batch=3)

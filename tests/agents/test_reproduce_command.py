@@ -19,7 +19,7 @@ from lanebound.agents.checkpointing import pool
 from lanebound.agents.cli import app, progress
 from lanebound.agents.cli.kinds import resolve
 from lanebound.agents.cli.progress import wait_for
-from lanebound.agents.studies import study
+from lanebound.agents.studies import urban_drive_study as study
 from lanebound.agents.studies.urban_drive import CELLS, MODES, RISKS, UrbanDriveConfig, risk_key
 
 PROGRAM = str(Path(sys.executable).parent / "lanebound")

@@ -13,7 +13,7 @@ from lanebound.envs import make_config
 from lanebound.envs.context import context_of
 from lanebound.envs.observation.index import entries
 from lanebound.envs.rendering.config import ThemeName
-from lanebound.envs.rendering.driver_display import DISPLAY_PX, with_display
+from lanebound.envs.rendering.panel import DISPLAY_PX, with_display
 from lanebound.envs.rendering.theme import THEMES
 from lanebound.envs.road_map import road_map_of
 from lanebound.integrity.core.errors import ConfigError, InputError

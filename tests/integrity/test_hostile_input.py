@@ -23,10 +23,10 @@ from lanebound.integrity.core.presets import parse_assignments, parse_yaml
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sky import almanac as almanac_room
-from lanebound.integrity.sky import mesh as mesh_room
+from lanebound.integrity.sky import city as mesh_room
 from lanebound.integrity.sky import rinex_navigation
 from lanebound.integrity.sky.almanac import parse_yuma, read_yuma
-from lanebound.integrity.sky.mesh import city_from_mesh
+from lanebound.integrity.sky.city import city_from_mesh
 from lanebound.integrity.sky.rinex_navigation import parse_navigation, read_navigation
 
 ALMANAC = """\

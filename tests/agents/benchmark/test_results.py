@@ -15,8 +15,7 @@ from benchmarks import made_up_folder, made_up_outcome, made_up_results, made_up
 from lanebound.agents.benchmark.metrics import MAIN, METRICS, harm_of, metric_named
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.source import source_digest
-from lanebound.agents.benchmark.store import EpisodeStore, stored_columns
+from lanebound.agents.benchmark.store import EpisodeStore, source_digest, stored_columns
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import MANIFEST, code_digest
 from lanebound.integrity.core.errors import InputError

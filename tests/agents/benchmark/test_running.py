@@ -17,8 +17,8 @@ from processes import started
 
 from lanebound.agents.benchmark.replay import differences, replay
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.running import BenchmarkPlan, run
 from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.work import BenchmarkPlan, run
 from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.integrity.core.errors import InputError
 

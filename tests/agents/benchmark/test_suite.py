@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from lanebound.agents.benchmark.seeds import TEST, TRAIN
-from lanebound.agents.benchmark.suite import SeedsConfig, SuiteConfig, load_suite, parse_agents
+from lanebound.agents.benchmark.suite import TEST, TRAIN, SeedsConfig, SuiteConfig, load_suite, parse_agents
 from lanebound.agents.benchmark.work import unfit
 from lanebound.agents.drivers import AGENTS
 from lanebound.envs import IDS

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import made_up_outcome, made_up_suite
 from typer.testing import CliRunner
 
-from lanebound.agents.benchmark.seeds import TRAIN
+from lanebound.agents.benchmark.suite import TRAIN
 from lanebound.agents.benchmark.tuning import GOAL, LADDER, cautious_at, choose, measured, tuning_suite
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import make_agent

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from experiments import experiment
 
-from lanebound.agents.benchmark.seeds import SPLITS
+from lanebound.agents.benchmark.suite import SPLITS
 from lanebound.agents.learning.opening import episode_seeds, for_judging, for_learning
 from lanebound.integrity.core.errors import ConfigError
 

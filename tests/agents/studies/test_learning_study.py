@@ -13,12 +13,11 @@ from scipy.stats import t as student_t
 from typer.testing import CliRunner
 
 from lanebound.agents.benchmark.metrics import metric_named
-from lanebound.agents.benchmark.running import run
 from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.work import run
 from lanebound.agents.cli import app
-from lanebound.agents.learning import study as room
-from lanebound.agents.learning import study_time as times
 from lanebound.agents.learning.evaluation import learnt_agent
+from lanebound.agents.studies import learning as room
 from lanebound.agents.studies.learning import (
     BESIDE,
     SHOWN,
@@ -104,9 +103,9 @@ def test_every_place_has_its_first_training_before_any_has_its_second() -> None:
 
 def test_the_time_of_a_study_is_that_of_its_decisions(monkeypatch: pytest.MonkeyPatch) -> None:
     study = small(test_seeds=3, experiment=SMALL["experiment"] | {"count": 1})
-    monkeypatch.setattr(times, "_each", lambda step: (step(), 0.25)[1])
-    assert measured(plan(study).trainings[0].experiment(study)) == Pace(0.25 + times.LEARNING_S, 0.25, 15.0)
-    monkeypatch.setattr(times, "measured", lambda planned: Pace(0.5, 2.0, 15.0))
+    monkeypatch.setattr(room, "_each", lambda step: (step(), 0.25)[1])
+    assert measured(plan(study).trainings[0].experiment(study)) == Pace(0.25 + room.LEARNING_S, 0.25, 15.0)
+    monkeypatch.setattr(room, "measured", lambda planned: Pace(0.5, 2.0, 15.0))
     of_one, of_a_driver = 64 * 0.5 + (2 * 1 + 3) * 15 * 0.5, 3 * 15 * 2.0
     assert study_hours(study, plan(study)) == pytest.approx((2 * of_one + len(BESIDE) * of_a_driver) / 3600.0)
 
@@ -118,7 +117,7 @@ def test_the_folder_is_refused_before_any_speed_is_measured(tmp_path: Path, monk
         begun.append(planned.env)
         raise InputError("measured")
 
-    monkeypatch.setattr(times, "measured", refuses)
+    monkeypatch.setattr(room, "measured", refuses)
     (tmp_path / "letter.txt").write_text("of other origin")
     command = ["study", "value_of_integrity", "--out", str(tmp_path)]
     refused = CliRunner().invoke(app, command)

@@ -20,8 +20,7 @@ from lanebound.agents.studies.signals import (
     without_clock,
 )
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.smartloc import read_smartloc
-from lanebound.integrity.recorded.smartloc_raw import read_smartloc_raw
+from lanebound.integrity.recorded.smartloc import read_smartloc, read_smartloc_raw
 from lanebound.integrity.sky.systems import System
 from tests.helpers.recordings import real
 

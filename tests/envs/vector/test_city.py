@@ -15,7 +15,7 @@ from lanebound.envs.vector import idm_kernel as idm
 from lanebound.envs.vector.drivers_kernel import clear, seat
 from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.envs.worlds.idm_parameters_kernel import CALM
-from lanebound.envs.worlds.urban_canyon import UrbanCanyonWorld
+from lanebound.envs.worlds.streets import UrbanCanyonWorld
 from vehicles import empty_rows
 
 

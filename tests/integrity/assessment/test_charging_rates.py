@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lanebound.integrity.assessment.charging_rates import ChargingConfig, charging_counts, passages, toll_counts
+from lanebound.integrity.assessment.warning_rates import ChargingConfig, charging_counts, passages, toll_counts
 from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 
 EACH = ChargingConfig(every=1, least_points=2)

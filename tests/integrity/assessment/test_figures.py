@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lanebound.integrity.assessment.accuracy import assess
 from lanebound.integrity.assessment.events import Zone
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.assessment.record import Record
-from lanebound.integrity.assessment.report import assess
 from lanebound.integrity.assessment.series import map_figure, series_figure
 from lanebound.integrity.assessment.stanford import count_zones, stanford_figure
 from lanebound.integrity.core.errors import InputError
@@ -160,7 +160,7 @@ def test_an_assessment_is_data_for_json(drive: Record) -> None:
 
 
 def test_counting_needs_no_matplotlib() -> None:
-    code = "import sys, lanebound.integrity.assessment.report; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, lanebound.integrity.assessment.accuracy; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

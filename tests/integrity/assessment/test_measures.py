@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import binom, norm
 
-from lanebound.integrity.assessment.accuracy import accuracy_by_mode, measure_accuracy, mode_share
-from lanebound.integrity.assessment.availability import (
+from lanebound.integrity.assessment.accuracy import (
+    accuracy_by_mode,
     availability_by_mode,
     find_outages,
     integrity_available,
+    measure_accuracy,
+    mode_share,
 )
 from lanebound.integrity.assessment.bounding import bounding_by_mode, clopper_pearson, measure_bounding
 from lanebound.integrity.assessment.record import Record

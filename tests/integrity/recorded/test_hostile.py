@@ -14,8 +14,7 @@ from lanebound.integrity.recorded.comma import read_rows
 from lanebound.integrity.recorded.rinex_observation import read_observations
 from lanebound.integrity.recorded.rtklib import read_reference, read_rtk_solution
 from lanebound.integrity.recorded.sky_recording import read_sky_recording
-from lanebound.integrity.recorded.smartloc import read_smartloc
-from lanebound.integrity.recorded.smartloc_raw import read_smartloc_raw
+from lanebound.integrity.recorded.smartloc import read_smartloc, read_smartloc_raw
 
 ALL, SOME = 20_000, 500
 PIECES = (

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from recordings import RAW, SMARTLOC, SMARTLOC_TRUTH, real, survives
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.smartloc import read_smartloc
-from lanebound.integrity.recorded.smartloc_raw import read_smartloc_raw
+from lanebound.integrity.recorded.smartloc import read_smartloc, read_smartloc_raw
 
 FUZZ = settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 

@@ -16,8 +16,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import Odometry, Pseudoranges, SmartLoc
-from lanebound.integrity.replay.city import CodeReplayConfig, drive_city
-from lanebound.integrity.replay.city_report import CityReplay, replay_city, write_city
+from lanebound.integrity.replay.city import CityReplay, CodeReplayConfig, drive_city, replay_city, write_city
 from lanebound.integrity.replay.overbound import CodeErrors
 from lanebound.integrity.replay.training import code_errors
 

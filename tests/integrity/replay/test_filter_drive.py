@@ -21,9 +21,9 @@ from lanebound.integrity.replay.filter_drive import (
     FilterReplayConfig,
     comma_sensors,
     drive_filter,
+    filter_summary,
     smartloc_sensors,
 )
-from lanebound.integrity.replay.filter_report import filter_summary
 
 ORIGIN = np.array([-2712087.5, -4261670.1, 3881014.5])
 

@@ -10,8 +10,15 @@ from recordings import comma_folder, real
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.comma import read_comma
-from lanebound.integrity.replay.outages import Motion, OutageConfig, calibrate, motion_of, run_outages, sawtooth
-from lanebound.integrity.replay.outages_report import write_outages
+from lanebound.integrity.replay.outages import (
+    Motion,
+    OutageConfig,
+    calibrate,
+    motion_of,
+    run_outages,
+    sawtooth,
+    write_outages,
+)
 
 
 def straight(speed: float = 12.0, seconds: float = 45.0) -> Motion:

@@ -6,8 +6,8 @@ import numpy as np
 
 from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
+from lanebound.integrity.replay.baseline import PLENTY, SlipComparison, code_rows
 from lanebound.integrity.replay.differences import Reduced
-from lanebound.integrity.replay.pair_signals import PLENTY, SlipComparison, code_rows
 from lanebound.integrity.replay.rtk_stages import Entries, Signals
 
 SATELLITES, COLUMNS = 6, 3

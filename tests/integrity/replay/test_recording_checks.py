@@ -13,8 +13,7 @@ from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geod
 from lanebound.integrity.recorded.comma import Comma, ReceiverFixes, Reference, Series, read_comma
 from lanebound.integrity.recorded.series import in_order
 from lanebound.integrity.recorded.smartloc import GroundTruth, Odometry, SmartLoc, read_smartloc
-from lanebound.integrity.replay.outages import OutageConfig, motion_of, run_outages
-from lanebound.integrity.replay.outages_report import write_outages
+from lanebound.integrity.replay.outages import OutageConfig, motion_of, run_outages, write_outages
 from lanebound.integrity.replay.recording_checks import check_comma, check_smartloc
 
 HOME = ecef_from_geodetic(np.radians(52.5), np.radians(13.37), 80.0)

@@ -15,9 +15,15 @@ from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConf
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import Odometry
 from lanebound.integrity.replay.datasets import replay_folder
-from lanebound.integrity.replay.service_drive import ServiceDrive, config_of, drive_service, require_possible
+from lanebound.integrity.replay.service_drive import (
+    ServiceDrive,
+    config_of,
+    drive_service,
+    require_possible,
+    status_of,
+    summarise_service,
+)
 from lanebound.integrity.replay.service_epochs import ServiceEpochs, StationCorrections
-from lanebound.integrity.replay.service_report import status_of, summarise_service
 from lanebound.integrity.sky.systems import System
 
 DT_S = 0.1

@@ -11,8 +11,8 @@ from baselines import PLACE, receiver, sky
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.recorded.rinex_observation import Observations
+from lanebound.integrity.replay.baseline import entries_of
 from lanebound.integrity.replay.differences import arc_of
-from lanebound.integrity.replay.pair_signals import entries_of
 from lanebound.integrity.replay.signal_choice import choose_signals, strength_dbhz
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.sky_recording import SkyRecording, read_sky_recording
 from lanebound.integrity.recorded.smartloc import Pseudoranges, SmartLoc
-from lanebound.integrity.replay.city_report import read_city
+from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.sky_record import SkyRecordConfig, agreement, record_sky, summary
 from lanebound.integrity.sky.visibility import SignalPath
 

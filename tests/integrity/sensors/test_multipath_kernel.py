@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lanebound.integrity.sensors.multipath_kernel import (
+from lanebound.integrity.sensors.arrival_kernel import (
     ARRIVAL,
     Loops,
     code_delay,

@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lanebound.integrity.sky.faces import Faces
-from lanebound.integrity.sky.materials import Material, clad
 from lanebound.integrity.sky.road import Road
-from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.scene import City, Faces, Material, clad
 from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
 HIGH_M, ANTENNA_M = 20.0, 1.5
