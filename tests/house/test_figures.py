@@ -17,7 +17,7 @@ FIGURES = {
         "README.md": r"reproduces (\d+) of the 39 figures",
     },
     "million epochs in the loop": {
-        "docs/results/levels-in-the-loop.md": r"\*\*Answer\.\*\* Yes\. In (\w+) million epochs",
+        "docs/results/levels-in-the-loop.md": r"\*\*Answer\.\*\* In (\w+) million epochs",
         "README.md": r"In (\w+) million epochs",
     },
     "harm of CarFollowing under urban": {
