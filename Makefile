@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 LAYERS := integrity envs agents configs
 
 .DEFAULT_GOAL := help
-.PHONY: help dev demo test test-slow check format coverage bench wheel release clean
+.PHONY: help dev demo test test-slow check format coverage bench pages wheel release clean
 
 help: ## Say what each target does
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -56,6 +56,9 @@ coverage: $(STAMP) ## Run the tests and say which lines they reach; a page goes 
 
 bench: $(STAMP) ## Measure speed against the gates; figures go to build/bench.json
 	$(BIN)/lanebound bench $(ARGS)
+
+pages: $(STAMP) ## Mark the pages of results that were made with earlier defaults
+	$(BIN)/python tests/helpers/result_pages.py
 
 wheel: $(STAMP) ## Build the wheel into dist/ and test it alone in new environments
 	.ci/wheel
