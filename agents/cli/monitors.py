@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 
 from lanebound.agents.cli.early import known_skies
-from lanebound.agents.cli.options import AsJson, Assignments, Jobs, changes
+from lanebound.agents.cli.options import AsJson, Assignments, Jobs, Plugins, changes
 
 __all__ = ["assess_monitors", "fit_errors", "monitors"]
 
 
-def monitors(as_json: AsJson = False) -> None:
+def monitors(as_json: AsJson = False, _plugins: Plugins = None) -> None:
     """List the monitors of the family: source, needs and promise of each one.
 
     Example: lanebound monitors --json
@@ -74,6 +74,7 @@ def assess_monitors(
     streets: Annotated[int | None, typer.Option(min=1, help="Streets of each sky; the study has 6.")] = None,
     jobs: Jobs = 1,
     assignments: Assignments = None,
+    _plugins: Plugins = None,
     as_json: AsJson = False,
 ) -> None:
     """All monitors that apply, on the same epochs: exceedances, levels, availability, alarms and cost of each one.

@@ -18,8 +18,8 @@ from lanebound.envs.worlds import kinds as worlds
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.monitoring.family.kinds import FAMILY
 from lanebound.integrity.navigators.navigator import KINDS, NavigatorConfig
+from lanebound.integrity.navigators.rtk_reckoning.extra_stages import EXTRA_STAGES
 from lanebound.integrity.navigators.rtk_reckoning.modes import MODES
-from lanebound.integrity.navigators.rtk_reckoning.monitors import MONITORS
 from lanebound.integrity.navigators.services.table import SERVICES
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors import fault_registry
@@ -32,7 +32,7 @@ TABLES: tuple[dict[Any, Any] | list[Any], ...] = (
     FAMILY,
     KINDS,
     MODES,
-    MONITORS,
+    EXTRA_STAGES,
     Mode.members,
     NavigatorConfig.kinds,
     SERVICES,
@@ -50,7 +50,7 @@ FIRST = [table.copy() for table in TABLES]
 GYMNASIUM = dict(gymnasium.registry)
 PLUGINS = Path(__file__).parents[1] / "plugins"
 ON_IMPORT = "lanebound.integrity.navigators.services.velocity_switch"
-"""Module of the package that registers a monitor when a configuration names it."""
+"""Module of the package that registers stages when a configuration names it."""
 _others: set[str] = set()
 """Modules that are no plug-ins."""
 

@@ -9,7 +9,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import one_record, record
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.navigators.rtk_reckoning.extension_kernel import exclude_satellite, raise_alert, raise_level
-from lanebound.integrity.navigators.rtk_reckoning.monitors import Point, register_monitor
+from lanebound.integrity.navigators.rtk_reckoning.extra_stages import Point, register_stages
 from lanebound.integrity.positioning.codes_kernel import RTK
 
 LOUDEST_DBHZ, TOLERATED_DB, AVERAGE_S = 57.0, 6.0, 30.0
@@ -52,7 +52,7 @@ def bound(first: int, last: int, epoch: Any, own: Any) -> None:
 
 
 REASON = AlertReason.register("interference", "the signals lose strength; expect errors of all satellites at once")
-register_monitor(
+register_stages(
     "interference",
     "jamming and false signals, by C/N0",
     ("cn0", "tracked"),

@@ -58,7 +58,7 @@ class TestKind(Enum):
 
 
 class LevelKind(Enum):
-    """Form of the horizontal level."""
+    """Form of the horizontal level; OWN is that of a registered monitor."""
 
     SLOPE = "slope"
     UNCERTAINTY = "uncertainty"
@@ -82,6 +82,7 @@ class LevelKind(Enum):
     RELATIVE_RANGE = "relative_range"
     EXTENDED = "extended"
     FIXED_CARRIERS = "fixed_carriers"
+    OWN = "own"
 
 
 class FamilyMonitorConfig(Config):
@@ -92,6 +93,7 @@ class FamilyMonitorConfig(Config):
     rejection: Rejection = Field(Rejection.NONE, description="codes left out or given less weight")
     test: TestKind = Field(TestKind.GLOBAL, description="test that raises an alarm")
     level: LevelKind = Field(LevelKind.SLOPE, description="form of the level")
+    own_level: str = Field("", description="registered monitor whose level it is, of level own")
     classes: ErrorClasses | None = Field(None, description="fitted error classes; lanebound fit-errors")
     false_alarm: float = Field(1e-3, gt=0, lt=1, description="P_FA of the test at an epoch [-]; S5 section II")
     code_sigma_m: float = Field(
@@ -151,6 +153,8 @@ class FamilyMonitorConfig(Config):
             raise ValueError(
                 "reflections.sets must be at least 1 where level is 'separation_odds': give the odds of codes"
             )
+        if self.level is LevelKind.OWN and not self.own_level:
+            raise ValueError("own_level is required where level is 'own': name the registered monitor")
         if self.igg3_k1 <= self.igg3_k0:
             raise ValueError(f"igg3_k1 must be > igg3_k0 = {self.igg3_k0}, got {self.igg3_k1}: raise it")
         return self

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.core.presets import nearest
-from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.plugins import bare_name, unknown
+from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
+from lanebound.integrity.monitoring.family.levels import OWN_LEVELS, Level
 from lanebound.integrity.positioning.rtk_config import CODE_REFLECTIONS
 
-__all__ = ["FAMILY", "MonitorKind", "applicable", "monitor_named"]
+__all__ = ["FAMILY", "MonitorKind", "applicable", "monitor_named", "register_monitor", "withdraw_monitor"]
 
 MISSED = "a bias of one code whose mean effect on the position exceeds HPL is missed with P_MD = risk at most"
 ON_A_LINE = "approximate: bias and noise on one line; short of satellites P(error > HPL and no alarm) exceeds the risk"
@@ -141,13 +142,65 @@ KINDS = (
 
 
 FAMILY: dict[str, MonitorKind] = {kind.name: kind for kind in KINDS}
+NEEDS = (CODES, "steps", "map", "carriers", "fixed", "fit")
 
 
 def monitor_named(name: str) -> MonitorKind:
-    """The kind of this name, or ConfigError."""
-    if name not in FAMILY:
-        raise ConfigError(f"monitor must be one of the family, got {name!r}: {nearest(name, FAMILY)}")
-    return FAMILY[name]
+    """The kind of this name, or ConfigError. ``package.module:name`` imports the module first."""
+    bare = bare_name(name)
+    if bare not in FAMILY:
+        raise ConfigError(f"monitor must be one of the family, got {name!r}: {unknown(bare, FAMILY)}")
+    return FAMILY[bare]
+
+
+def register_monitor(
+    name: str, summary: str, source: str, promise: str, needs: tuple[str, ...] = (CODES,), level: Level | None = None,
+    **changes: Any,
+) -> MonitorKind:  # fmt: skip
+    """Add a monitor of code positions, which configurations may then name.
+
+    Parameters
+    ----------
+    name, summary, source, promise : as in the table of ``lanebound monitors``
+    needs : what it reads, among NEEDS
+    level : function of a :class:`~.levels.LevelWork` that returns the horizontal levels (E, R) [m] of E epochs at R
+        risks, inf where there is none; None: the level of ``changes``
+    changes : of :class:`~.config.FamilyMonitorConfig`: test, rejection, weights, level
+
+    Raises
+    ------
+    InputError
+        The name is taken, or there is no such need.
+    ConfigError
+        A change is refused.
+    """
+    if name in FAMILY:
+        raise InputError(f"name of a monitor must not be taken, got {name!r}: choose another")
+    missing = [need for need in needs if need not in NEEDS]
+    if missing:
+        raise InputError(f"needs must be among {', '.join(NEEDS)}, got {missing[0]!r}: correct it")
+    if level is not None:
+        changes = {**changes, "level": LevelKind.OWN.value, "own_level": name}
+    kind = MonitorKind(name, "registered", summary, source, promise, changes, needs)
+    kind.config()
+    if level is not None:
+        OWN_LEVELS[name] = level
+    FAMILY[name] = kind
+    return kind
+
+
+def withdraw_monitor(name: str) -> None:
+    """Remove a registered monitor.
+
+    Raises
+    ------
+    InputError
+        There is none of this name, or it is one of the package.
+    """
+    if name not in FAMILY or FAMILY[name] in KINDS:
+        raise InputError(f"monitor must be a registered one, got {name!r}: the monitors of the package stay")
+    del FAMILY[name]
+    OWN_LEVELS.pop(name, None)
 
 
 def applicable(epochs: CodeEpochs, fitted: bool = False) -> list[MonitorKind]:

@@ -29,8 +29,8 @@ from lanebound.integrity.monitoring.sbas import Operation
 from lanebound.integrity.monitoring.significance import noncentrality, two_sided_factor
 
 __all__ = [
-    "LEVELS", "LevelWork", "fixed_level_false_alarm", "isotropic_factor", "noncentralities", "normal_factor",
-    "predicted_level", "times",
+    "LEVELS", "OWN_LEVELS", "Level", "LevelWork", "fixed_level_false_alarm", "isotropic_factor", "noncentralities",
+    "normal_factor", "predicted_level", "times",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -195,7 +195,17 @@ def _separated(form: Callable[..., Array]) -> Callable[[LevelWork], Array]:
     return level
 
 
-LEVELS: dict[LevelKind, Callable[[LevelWork], Array]] = {
+Level = Callable[[LevelWork], Array]
+OWN_LEVELS: dict[str, Level] = {}
+"""Levels of registered monitors, by the name of the monitor."""
+
+
+def own(work: LevelWork) -> Array:
+    """The level of a registered monitor."""
+    return np.asarray(OWN_LEVELS[work.config.own_level](work), dtype=np.float64)
+
+
+LEVELS: dict[LevelKind, Level] = {
     LevelKind.SLOPE: slope,
     LevelKind.UNCERTAINTY: uncertainty,
     LevelKind.WEIGHTED: weighted,
@@ -211,5 +221,6 @@ LEVELS: dict[LevelKind, Callable[[LevelWork], Array]] = {
     LevelKind.ISOTROPIC_PUBLISHED: isotropic_published,
     LevelKind.RAYLEIGH: rayleigh,
     LevelKind.PARETO: pareto,
+    LevelKind.OWN: own,
 }
 """Levels that follow from an epoch alone; ARAIM is in :mod:`.separations`, those with memory in :mod:`.monitor`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, Literal, Self
 
@@ -10,8 +11,8 @@ from pydantic import Field, field_validator, model_validator
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.navigators.navigator import NavigatorConfig
+from lanebound.integrity.navigators.rtk_reckoning.extra_stages import ExtraStages, stages_named
 from lanebound.integrity.navigators.rtk_reckoning.modes import PositioningMode, mode_named
-from lanebound.integrity.navigators.rtk_reckoning.monitors import Monitor, monitor_named
 from lanebound.integrity.navigators.services.config import ServicesConfig
 from lanebound.integrity.navigators.services.rules import require_fitting_services
 from lanebound.integrity.navigators.services.table import service_named
@@ -29,13 +30,20 @@ class RtkReckoningConfig(NavigatorConfig):
     modes: tuple[str, ...] = Field(
         ("doppler", "imu_odometer"), description="positioning modes between RTK positions, in order of preference"
     )
-    monitors: tuple[str, ...] = Field((), description="monitors from outside, beside those that are always on")
+    stages: tuple[str, ...] = Field((), description="stages from outside, in addition to those of the package")
     service: tuple[str, ...] = Field(
         ("rtk",),
         min_length=1,
         description="positioning services, in order of preference; S2 Table 1",
     )
     services: ServicesConfig = Field(ServicesConfig(), description="what is declared of services other than RTK")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _stages_were_monitors(cls, data: Any) -> Any:
+        if isinstance(data, Mapping) and "monitors" in data:
+            raise ConfigError(f"monitors must be named stages, got {data['monitors']!r}: write stages in its place")
+        return data
 
     @field_validator("service", mode="before")
     @classmethod
@@ -52,11 +60,11 @@ class RtkReckoningConfig(NavigatorConfig):
         return self
 
     @model_validator(mode="after")
-    def _modes_and_monitors_are_known(self) -> Self:
-        for what, names in (("modes", self.modes), ("monitors", self.monitors)):
+    def _modes_and_stages_are_known(self) -> Self:
+        for what, names in (("modes", self.modes), ("stages", self.stages)):
             if len(set(names)) < len(names):
                 raise ConfigError(f"{what} must name each one once, got {list(names)}: remove the repeated one")
-        _ = self.chosen_modes, self.chosen_monitors
+        _ = self.chosen_modes, self.extra_stages
         return self
 
     @property
@@ -92,9 +100,9 @@ class RtkReckoningConfig(NavigatorConfig):
         return [mode_named(name) for name in self.modes]
 
     @property
-    def chosen_monitors(self) -> list[Monitor]:
-        """The records of ``monitors``."""
-        return [monitor_named(name) for name in self.monitors]
+    def extra_stages(self) -> list[ExtraStages]:
+        """The records of ``stages``."""
+        return [stages_named(name) for name in self.stages]
 
     @property
     def tests(self) -> FdeConfig:

@@ -79,15 +79,15 @@ STAGES: tuple[Listed | Point | str, ...] = (
 class EpochStages:
     """The stages of a configuration, as callables ``stages(first, last, epoch, states)``; states (B,) by name.
 
-    The plain configuration is one compiled function. With services, with modes or monitors from outside, with a drift
+    The plain configuration is one compiled function. With services, with modes or stages from outside, with a drift
     watch or a filter of float ambiguities, the stages are called one after another from Python.
     """
 
     def __init__(self, config: RtkReckoningConfig, services: ServiceSet) -> None:
         rtk, modes = config.positioning.rtk, [mode.stage for mode in config.chosen_modes]
         at = {point: list(services.stages.get(point, ())) for point in Point}
-        for monitor in config.chosen_monitors:
-            for point, stage in monitor.stages.items():
+        for extra in config.extra_stages:
+            for point, stage in extra.stages.items():
                 at[point].append(stage)
         left_out = set() if rtk.float_solution.kind == "sequential" else {"floats"}
         left_out |= set() if rtk.drift.anchors else {"drift"}

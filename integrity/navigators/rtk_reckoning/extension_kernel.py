@@ -1,4 +1,4 @@
-"""The first stage of an epoch, and what the stages of modes and monitors from outside call.
+"""The first stage of an epoch, and what the modes and stages from outside call.
 
 A stage from outside is ``stage(first, last, epoch, own)`` with ``own`` of :class:`~.records_kernel.Own`, compiled by
 :func:`~lanebound.integrity.core.accel.jit` or plain Python.

@@ -73,10 +73,10 @@ class RtkReckoningNavigator(Navigator):
         return belief
 
     def initial_extensions(self, batch: int) -> dict[str, Records]:
-        """The states of services, and of the modes and monitors from outside."""
+        """The states of services, and of the modes and stages from outside."""
         modes = {f"mode {mode.mode.key}": mode.initial for mode in self.config.chosen_modes}
-        monitors = {f"monitor {monitor.name}": monitor.initial for monitor in self.config.chosen_monitors}
-        given = {**modes, **monitors}.items()
+        extra = {f"stage {stages.name}": stages.initial for stages in self.config.extra_stages}
+        given = {**modes, **extra}.items()
         states = {name: np.repeat(initial, batch) for name, initial in given if initial is not None}
         return states | self._services.initial(batch)
 

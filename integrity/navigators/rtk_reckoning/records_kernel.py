@@ -269,7 +269,7 @@ WORK = record(
     integrates=("?", "the position moved by the Doppler velocity"),
     accepted=("?", "the RTK position is accepted"),
     fixed=(FIXED_SOLUTION, "RTK solution"),
-    excluded=("i8", "satellites excluded by monitors from outside"),
+    excluded=("i8", "satellites excluded by stages from outside"),
     cause=("i8", "code of AlertReason that a monitor from outside raises, 0 for none"),
 )
 """What stages hand on to later stages of the same epoch."""

@@ -1,4 +1,4 @@
-"""Where modes, monitors and services attach to an epoch, and how their stages are called.
+"""Where modes, services and stages from outside attach to an epoch, and how their stages are called.
 
 A stage of this package is ``stage(first, last, epoch)``. A stage from outside is ``stage(first, last, epoch, own)``,
 compiled or plain Python, where ``own`` (:class:`~.records_kernel.Own`) holds its code and its own state.

@@ -1,7 +1,7 @@
-"""Monitor ``velocity_switch``: S2's choice between the velocity of GNSS and that of heading and odometer.
+"""Stage ``velocity_switch``: S2's choice between the velocity of GNSS and that of heading and odometer.
 
 S2 section 8: where the two velocity vectors differ by more than 0.25 m/s, the position moves by heading and odometer.
-The modes of S1 compare speeds alone, with 0.5 m/s. ``navigator.monitors`` adds this test by the name
+The modes of S1 compare speeds alone, with 0.5 m/s. ``navigator.stages`` adds this test by the name
 ``lanebound.integrity.navigators.services.velocity_switch:velocity_switch``. Both velocities are those at the end of an
 epoch: the wheels give its mean speed, to which half of the accelerometer's increment is added, and the course is that
 of the heading at the end. The course in its middle would differ by ``w dt / 2`` in a turn at rate w, 0.25 m/s at 10 m/s
@@ -15,7 +15,7 @@ from typing import Any
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.navigators.rtk_reckoning.extension_kernel import refuse_doppler
-from lanebound.integrity.navigators.rtk_reckoning.monitors import Point, register_monitor
+from lanebound.integrity.navigators.rtk_reckoning.extra_stages import Point, register_stages
 
 __all__ = ["LARGEST_MPS", "switch_velocity"]
 
@@ -37,7 +37,7 @@ def switch_velocity(first: int, last: int, epoch: Any, own: Any) -> None:
             refuse_doppler(w)
 
 
-register_monitor(
+register_stages(
     "velocity_switch",
     "Doppler velocities that differ from heading and odometer by more than 0.25 m/s do not move the position (S2)",
     ("range_rate", "speed", "turn", "delta_v"),

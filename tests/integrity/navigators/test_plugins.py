@@ -31,8 +31,8 @@ from lanebound.integrity.navigators.navigator import (
     NavigatorConfig,
     navigator_class,
 )
-from lanebound.integrity.navigators.rtk_reckoning import monitors
-from lanebound.integrity.navigators.rtk_reckoning.monitors import Point
+from lanebound.integrity.navigators.rtk_reckoning import extra_stages
+from lanebound.integrity.navigators.rtk_reckoning.extra_stages import Point
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
@@ -151,7 +151,7 @@ def _jammed(db: float) -> tuple[Fault, ...]:
 
 def test_a_monitor_raises_levels_and_alerts_with_its_own_reason(interference: AlertReason) -> None:
     plain_config = NavigatorConfig.load({"positioning": {"rtk": {"fade_db": 20.0}}})  # RTK goes on while jammed
-    config = plain_config.replace(monitors=["interference"])
+    config = plain_config.replace(stages=["interference"])
     watched, plain = (_tunnel(c, [1, 2], _jammed(8.0)) for c in (config, plain_config))
     runs = _drive(watched, range(88)), _drive(plain, range(88))
     for with_it, without in zip(*runs, strict=True):
@@ -166,7 +166,7 @@ def test_a_monitor_raises_levels_and_alerts_with_its_own_reason(interference: Al
 
 
 def test_a_monitor_excludes_satellites(interference: AlertReason, monkeypatch: pytest.MonkeyPatch) -> None:
-    navigator = _tunnel(NavigatorConfig.load({"monitors": ["interference"]}), [1])
+    navigator = _tunnel(NavigatorConfig.load({"stages": ["interference"]}), [1])
     _drive(navigator, range(60))
     m = navigator.measure(_truth(1, 60))
     strongest = int(m.gnss.cn0_dbhz[0].argmax())
@@ -180,24 +180,24 @@ def test_a_monitor_excludes_satellites(interference: AlertReason, monkeypatch: p
 
 
 def test_the_state_of_a_monitor_is_kept_restored_and_handed_over(interference: AlertReason) -> None:
-    navigator = _tunnel(NavigatorConfig.load({"monitors": ["interference"]}), [1, 2])
+    navigator = _tunnel(NavigatorConfig.load({"stages": ["interference"]}), [1, 2])
     _drive(navigator, range(40))
     kept = pickle.loads(pickle.dumps(navigator.snapshot()))
     first = _drive(navigator, range(40, 60))
-    usual = navigator.state.extensions["monitor interference"]["usual"].copy()
+    usual = navigator.state.extensions["stage interference"]["usual"].copy()
     assert (usual > 40.0).all()
     navigator.restore(kept)
     again = _drive(navigator, range(40, 60))
     np.testing.assert_array_equal(first[-1].pl_cases_m, again[-1].pl_cases_m)
-    np.testing.assert_array_equal(navigator.state.extensions["monitor interference"]["usual"], usual)
+    np.testing.assert_array_equal(navigator.state.extensions["stage interference"]["usual"], usual)
     other = navigator.another(Streams([8, 9]))
-    assert not other.state.extensions["monitor interference"]["usual"].any()
+    assert not other.state.extensions["stage interference"]["usual"].any()
     other.adopt(np.array([0]), navigator, np.array([1]))
-    assert other.state.extensions["monitor interference"]["usual"].tolist() == [usual[1], 0.0]
+    assert other.state.extensions["stage interference"]["usual"].tolist() == [usual[1], 0.0]
 
 
 def test_threads_share_the_work_of_a_monitor(interference: AlertReason) -> None:
-    config, seeds = NavigatorConfig.load({"monitors": ["interference"]}), list(range(32))
+    config, seeds = NavigatorConfig.load({"stages": ["interference"]}), list(range(32))
     alone, shared = (_tunnel(config, seeds, _jammed(8.0)) for _ in range(2))
     with serial():
         one = _drive(alone, range(88))[-1]
@@ -210,9 +210,9 @@ def test_a_level_that_a_monitor_lowers_is_refused() -> None:
     def lower(first: int, last: int, epoch: object, own: object) -> None:
         epoch.levels[first:last] = 0.0  # type: ignore[attr-defined]
 
-    monitors.register_monitor("optimist", "nothing", (), {Point.BOUNDED: lower})
-    navigator = _tunnel(NavigatorConfig.load({"monitors": ["optimist"]}), [1])
-    with pytest.raises(InputError, match=r"after 'monitor optimist' .* inf m, or more .* got 0.000 m"):
+    extra_stages.register_stages("optimist", "nothing", (), {Point.BOUNDED: lower})
+    navigator = _tunnel(NavigatorConfig.load({"stages": ["optimist"]}), [1])
+    with pytest.raises(InputError, match=r"after 'stage optimist' .* inf m, or more .* got 0.000 m"):
         _drive(navigator, range(1))
 
 
@@ -221,9 +221,9 @@ def test_levels_are_raised_at_the_end_alone(point: Point) -> None:
     def widen(first: int, last: int, epoch: object, own: object) -> None:
         epoch.levels[first:last] = 7.0 + np.abs(np.nan_to_num(epoch.levels[first:last], posinf=1e9))  # type: ignore[attr-defined]
 
-    monitors.register_monitor("early", "nothing", (), {point: widen})
-    navigator = _tunnel(NavigatorConfig.load({"monitors": ["early"]}), [1])
-    with pytest.raises(InputError, match=r"after 'monitor early'"):
+    extra_stages.register_stages("early", "nothing", (), {point: widen})
+    navigator = _tunnel(NavigatorConfig.load({"stages": ["early"]}), [1])
+    with pytest.raises(InputError, match=r"after 'stage early'"):
         _drive(navigator, range(20))
 
 
@@ -231,28 +231,28 @@ def test_levels_of_rtk_are_not_lowered_by_a_monitor() -> None:
     def shrink(first: int, last: int, epoch: object, own: object) -> None:
         epoch.fixed_levels[first:last] *= 0.01  # type: ignore[attr-defined]
 
-    monitors.register_monitor("shrinking", "nothing", (), {Point.ESTIMATED: shrink})
-    navigator = _tunnel(NavigatorConfig.load({"monitors": ["shrinking"]}), [1])
+    extra_stages.register_stages("shrinking", "nothing", (), {Point.ESTIMATED: shrink})
+    navigator = _tunnel(NavigatorConfig.load({"stages": ["shrinking"]}), [1])
     with pytest.raises(InputError, match="levels of the RTK position may only grow"):
         _drive(navigator, range(60))
 
 
 def test_a_monitor_that_does_nothing_changes_nothing_and_one_without_a_reason_is_refused() -> None:
-    monitors.register_monitor("idle", "nothing", (), {Point.MEASURED: lambda first, last, epoch, own: None})
-    with_it = _drive(_tunnel(NavigatorConfig.load({"monitors": ["idle"]}), [1]), range(5))
+    extra_stages.register_stages("idle", "nothing", (), {Point.MEASURED: lambda first, last, epoch, own: None})
+    with_it = _drive(_tunnel(NavigatorConfig.load({"stages": ["idle"]}), [1]), range(5))
     without = _drive(_tunnel(NavigatorConfig(), [1]), range(5))
     np.testing.assert_array_equal([s.pl_ct_m for s in with_it], [s.pl_ct_m for s in without])
-    with pytest.raises(InputError, match="reason of monitor 'mute' must not be NONE"):
-        monitors.register_monitor("mute", "", (), {Point.BOUNDED: lambda *_: None}, reason=AlertReason.NONE)
+    with pytest.raises(InputError, match="reason of 'mute' must not be NONE"):
+        extra_stages.register_stages("mute", "", (), {Point.BOUNDED: lambda *_: None}, reason=AlertReason.NONE)
 
 
 def test_a_withdrawn_monitor_is_unknown() -> None:
-    monitors.register_monitor("idle", "nothing", (), {Point.MEASURED: lambda first, last, epoch, own: None})
-    monitors.withdraw_monitor("idle")
-    with pytest.raises(ConfigError, match="monitors must be among"):
-        NavigatorConfig.load({"monitors": ["idle"]})
+    extra_stages.register_stages("idle", "nothing", (), {Point.MEASURED: lambda first, last, epoch, own: None})
+    extra_stages.withdraw_stages("idle")
+    with pytest.raises(ConfigError, match="stages must be among"):
+        NavigatorConfig.load({"stages": ["idle"]})
     with pytest.raises(InputError, match="'idle'"):
-        monitors.withdraw_monitor("idle")
+        extra_stages.withdraw_stages("idle")
 
 
 def test_a_monitor_of_a_taken_name_or_without_measurements_or_stages_is_refused(interference: AlertReason) -> None:
@@ -261,7 +261,7 @@ def test_a_monitor_of_a_taken_name_or_without_measurements_or_stages_is_refused(
         ("own", ("cn0", "delta_v"), "must hold one"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=message):
-            monitors.register_monitor(name, "", needs, {})
+            extra_stages.register_stages(name, "", needs, {})
 
 
 # A kind of navigator

@@ -13,10 +13,10 @@ from lanebound.integrity.positioning.modes import Mode
 NAME = "lanebound.integrity.navigators.services.velocity_switch:velocity_switch"
 
 
-def _modes(monitors: list[str], scale: float) -> NDArray[np.int64]:
+def _modes(stages: list[str], scale: float) -> NDArray[np.int64]:
     """Modes (K, B) of cars that drive North at 10 m/s without a station; odometers show ``1 + scale`` of the speed."""
     config = NavigatorConfig(
-        monitors=monitors, corrections={"outage_per_h": 0.0}, positioning={"mode": {"doppler_when": "usable"}},
+        stages=stages, corrections={"outage_per_h": 0.0}, positioning={"mode": {"doppler_when": "usable"}},
         gnss={"range_rate_sigma_mps": 0.02}, odometer={"scale_sigma": 0.0},
     )  # fmt: skip
     navigator = Navigator.nominal(config, seeds=[1, 2, 3, 4], duration_s=60.0)
