@@ -180,7 +180,7 @@ Its `cost_limit` is the default of 10. Worlds without lanes (parking) or with se
 map with the true car (filled), the estimated pose (outline), the outline enlarged by the protection levels (solid box),
 the width that the estimated car sweeps along its lane, enlarged by the alert limit across (dashed), the perceived
 vehicles with their levels, and a panel. Its status light is about navigation only: NORMAL means that all levels are
-within their limits. CRASHED, OFF ROAD or WRONG WAY beside the time is the true state. Below are mode, satellites and
+within their limits. CRASHED, OFF ROAD or WRONG WAY next to the time is the true state. Below are mode, satellites and
 strip charts. Letters in the sky plot are systems: G GPS, E Galileo, R GLONASS, C BeiDou, J QZSS. The keys `rendering.*`
 set size, scale, orientation, theme and panel. `lanebound drive ID --video FILE.mp4` writes a film."""
 

@@ -40,7 +40,7 @@ def run_episode(
     env : may have driven other episodes before
     make : makes the agent
     clock : measures the time of the agent
-    watchers : called at every step, beside the log
+    watchers : called at every step, in addition to the log
 
     Returns
     -------

@@ -129,7 +129,7 @@ SAFETY = (
           "the cost exceeded cost_limit, which was chosen under the sky of the id",
           _driven(lambda o: None if o.cost_limit is None else float(o.cost > o.cost_limit))),
     _rate("success_within_limit", "success within limit", "higher",
-          "success at a cost of at most cost_limit; compare it beside the mean speed",
+          "success at a cost of at most cost_limit; compare it together with the mean speed",
           lambda o: None if o.cost_limit is None else float(o.success and o.cost <= o.cost_limit)),
     _rate("failed", "failed", "lower", "the agent failed", lambda o: float(o.failed)),
 )
@@ -200,7 +200,7 @@ MAIN = (
     "harm", "throughput", "collision", "off_road", "lane_departure", "success", "success_within_limit", "mean_speed",
     "cost", "return", "availability", "any_hmi",
 )  # fmt: skip
-"""Keys of the metrics of a short table: harm beside throughput first, as each alone is easy to improve."""
+"""Keys of the metrics of a short table: harm and throughput first, as each alone is easy to improve."""
 
 
 def metric_named(key: str) -> Metric:

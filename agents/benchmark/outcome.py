@@ -155,6 +155,6 @@ class Outcome:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Outcome:
-        """The outcome of plain data; what other versions wrote beside it is left out."""
+        """The outcome of plain data; what other versions wrote in addition is left out."""
         known = {item.name for item in fields(cls)}
         return cls(**{key: value for key, value in data.items() if key in known})

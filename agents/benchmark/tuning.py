@@ -1,6 +1,6 @@
 """Tuning of the constant margins of the cautious driver, a fair opponent of the integrity-aware driver.
 
-A benchmark on training seeds: the integrity-aware driver beside a ladder of cautious ones. One number, caution, changes
+A benchmark on training seeds: the integrity-aware driver and a ladder of cautious ones. One number, caution, changes
 speed, gap and lane together from those of the nominal driver (0) to a third of the speed, 10 m and half a car (1). The
 result is the least caution with no more harm than the integrity-aware driver; where there is none, the caution with the
 same throughput, which an early end does not raise, unlike mean speed. This is one line through all possible margins,

@@ -147,7 +147,7 @@ def rtk(
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Conventional RTK on simulated signals beside a recorded drive, and the navigator on the same signals.
+    """Conventional RTK on simulated signals next to a recorded drive, and the navigator on the same signals.
 
     Keys for --set: receiver=filtered for a Kalman filter in place of single epochs, kinematic.*, solution.*,
     navigator.*; skies, vehicles, baseline_km.
@@ -171,7 +171,7 @@ def rtk(
         print_json(result)
         return
     print_table("Satellites that conventional RTK can use, by sky", *sky_rows(result))
-    print_table(f"The sky nearest in usable satellites ({result['nearest']}) beside the recording", *rtk_rows(result))
+    print_table(f"The sky nearest in usable satellites ({result['nearest']}) next to the recording", *rtk_rows(result))
     print_table("The navigator on the same signals: epochs beyond a level, 95 % by street", *navigator_rows(result))
     typer.echo(f"results.json: {out}")
 
@@ -187,7 +187,7 @@ def signals(
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Errors of code and Doppler of a recorded drive beside simulated ones, by C/N0 and elevation, and by path.
+    """Errors of code and Doppler of a recorded drive next to simulated ones, by C/N0 and elevation, and by path.
 
     Example: lanebound assess signals drives/potsdamer --out out/signals --set streets=8
     """

@@ -33,7 +33,7 @@ def print_report(
     as_json: bool,
 ) -> None:
     """Print the tables, or JSON; ``position`` is of :func:`position_of`, ``limit`` that of the cost, ``services`` are
-    those that the navigator names beside RTK."""
+    those that the navigator names in addition to RTK."""
     from lanebound.agents.cli.output import print_json, print_table
 
     written = {what: str(path) for what, path in files.items() if path is not None}
@@ -154,7 +154,7 @@ def _label(measure: str) -> tuple[str, str]:
 
 
 def _value(measure: str, value: float, limit: float | None) -> str:
-    """A value in three decimals; the cost beside its limit."""
+    """A value in three decimals; the cost next to its limit."""
     text = f"{round(value, 3):g}"
     return f"{text}, {_against(value, limit)}" if measure == "cost" and limit else text
 

@@ -35,7 +35,7 @@ def urban_drive(
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """A Tokyo-like urban drive: RTK, Doppler, IMU + odometer, and the tables of S1 beside ours.
+    """A Tokyo-like urban drive: RTK, Doppler, IMU + odometer, and the tables of S1 next to ours.
 
     Example: lanebound reproduce urban-drive --out out/urban --seeds 10
     """
@@ -117,7 +117,7 @@ def services(
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Positioning services under open, half-open and urban skies, beside S2 Table 1, S2 section 6 and S4 III-A.
+    """Positioning services under open, half-open and urban skies, next to S2 Table 1, S2 section 6 and S4 III-A.
 
     Example: lanebound reproduce services --out out/services --seeds 10
     """
@@ -150,7 +150,7 @@ def context(
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """The context-aware monitor on urban, rural and mixed drives, and the rates of S5 beside ours.
+    """The context-aware monitor on urban, rural and mixed drives, and the rates of S5 next to ours.
 
     Example: lanebound reproduce context --out out/context --seeds 5
     """

@@ -35,7 +35,7 @@ class Actor:
 
     @property
     def remark(self) -> str:
-        """Remark beside its name."""
+        """Remark next to its name."""
         return "sees the truth" if self.bound else "reference" if self.reference else ""
 
 

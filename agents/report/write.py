@@ -213,7 +213,7 @@ def render(results: Results, clips: int = 0, on_clip: Callable[[int, int], None]
 
 
 def _part(name: str) -> str:
-    """A file beside this one."""
+    """A file next to this one."""
     return (files("lanebound.agents.report") / name).read_text(encoding="utf-8")
 
 

@@ -2,13 +2,13 @@
 
 Reckless drivers follow a stop-and-go leader under every sky; the filter is all that is between them and a crash. Every
 decision is judged by the truth . With faults the error may leave its level: how often that
-happens, and how often a barrier is lost, is set beside the integrity risk.
+happens, and how often a barrier is lost, is compared with the integrity risk.
 
 The promise is an induction: from a state with ``h >= 0`` a decision made while all assumptions hold leads to a state
 with ``h >= 0``. Each decision is judged for itself, so that one exception does not excuse the rest of an episode.
 
 That levels grow as stated is not among what the promise rests on: it foretells whether the next decision has a safe
-acceleration too, short of which the filter brakes fully. It is counted beside the rest, and excuses nothing.
+acceleration too, short of which the filter brakes fully. It is counted with the rest, and excuses nothing.
 
 Symbols: s gap between bumpers [m], v and v_l speeds of ego and leader [m/s], s0, tau, b, B as in BarrierConfig.
 """

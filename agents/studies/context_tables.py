@@ -132,7 +132,7 @@ def _with_spread(values: Sequence[float] | None) -> str:
 
 
 def ocdr_rows(tables: Mapping[str, Any]) -> Table:
-    """OCDR of S5 beside ours: by S5's counting, with warnings at rest, of all phases, and of each phase alone.
+    """OCDR of S5 next to ours: by S5's counting, with warnings at rest, of all phases, and of each phase alone.
 
     S5's counting divides the false alarms and missed detections of the third phase by all points.
     """
@@ -151,7 +151,7 @@ def ocdr_rows(tables: Mapping[str, Any]) -> Table:
 
 
 def stage_rows(tables: Mapping[str, Any]) -> Table:
-    """Each phase over the points that reach it, all drives together, beside never warning of the same points."""
+    """Each phase over the points that reach it, all drives together, next to never warning of the same points."""
     rows: list[tuple[str, ...]] = []
     for name, env in tables["environments"].items():
         for assumed, found in _by_receiver(env):

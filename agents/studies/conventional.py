@@ -1,4 +1,4 @@
-"""Conventional RTK on simulated signals beside a recorded drive: how often it fixes, and how often wrongly.
+"""Conventional RTK on simulated signals next to a recorded drive: how often it fixes, and how often wrongly.
 
 The recorded drive is a solution of RTKLIB with its reference trajectory; its observations are not needed. The simulated
 receivers drive through streets of several skies, without faults and with a steady link. One observation of each epoch

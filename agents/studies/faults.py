@@ -106,7 +106,7 @@ def consistency_rows(result: Mapping[str, Any]) -> Table:
 
 
 def theory_rows(result: Mapping[str, Any]) -> Table:
-    """The power of detection by the size of a bias, in minimal detectable ones, beside theory."""
+    """The power of detection by the size of a bias, in minimal detectable ones, next to theory."""
     columns = ("satellites", "bias/MDB", "theory", "own test", "noticed", "excluded rightly", "epochs")
     rows = []
     for found in result["theory"]:
@@ -164,7 +164,7 @@ class FaultsConfig(Config):
         default_factory=_tried, min_length=1, description="kinds of faults; by default all registered ones"
     )
     control_s: float = Field(600.0, gt=60, description="length of the drive without faults")
-    theory_satellites: tuple[int, ...] = Field((7, 12), description="sizes of geometries that are put beside theory")
+    theory_satellites: tuple[int, ...] = Field((7, 12), description="sizes of geometries that are put next to theory")
     theory_draws: int = Field(4000, ge=40, description="of each size and each bias, four times as many without one")
     navigator: NavigatorConfig = NavigatorConfig()
 

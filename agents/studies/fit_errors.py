@@ -178,7 +178,7 @@ def _position_laws(parts: Sequence[TrackedEpochs]) -> dict[str, float]:
 
 
 def _laws(error: Array) -> dict[str, Any]:
-    """Criterion and quantiles of each law of all errors, beside the errors themselves."""
+    """Criterion and quantiles of each law of all errors, next to the errors themselves."""
     laws = {"normal": fit_normal(error), "mean and variance jump": fit_jumps(error), "mixture": fit_mixture(error)}
     process = dirichlet_mixture(error)
     laws |= {} if process is None else {"dirichlet process": process}

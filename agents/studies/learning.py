@@ -92,7 +92,7 @@ class Pace(NamedTuple):
 
 
 def study_hours(study: LearningStudyConfig, course: Course) -> float:
-    """Core time of a whole study [h]: trainings, their evaluations, and the drivers beside them.
+    """Core time of a whole study [h]: trainings, their evaluations, and the other drivers.
 
     Raises
     ------
@@ -259,7 +259,7 @@ def _differences(ours: Mapping[int, Mapping[str, Any]], theirs: Mapping[int, Map
 def adjust(
     places: Sequence[Mapping[str, Any]], kept: Sequence[Mapping[str, Any]], families: Mapping[str, str]
 ) -> dict[str, int]:
-    """Write ``p_holm`` beside each ``p`` of the PRIMARY metrics and of the limit; returns the numbers of tests.
+    """Write ``p_holm`` next to each ``p`` of the PRIMARY metrics and of the limit; returns the numbers of tests.
 
     Tests of arms of a family are adjusted together, for all places and metrics.
     """

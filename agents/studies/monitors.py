@@ -431,7 +431,7 @@ def monitor_rows(config: MonitorsConfig, place: Mapping[str, Any], bands: bool =
 
 
 def predicted_rows(result: Mapping[str, Any]) -> Table:
-    """Predicted availability by place and systems, beside the published figures; no rows for recorded drives."""
+    """Predicted availability by place and systems, next to the published figures; no rows for recorded drives."""
     rows = [
         (place, *(f"{100.0 * found['predicted'][key]:.1f} %" for key in PREDICTED))
         for place, found in result["places"].items()

@@ -1,4 +1,4 @@
-"""Positioning services side by side under open, half-open and urban skies, beside what S2 and S4 print.
+"""Positioning services side by side under open, half-open and urban skies, next to what S2 and S4 print.
 
 S2 section 6: in the open, lane identification and collision alert could be done about 80 % of the time with SBAS DFMC
 and nearly always with PPP; in the city hardly ever. S2 states no accuracy for them; here an application is possible
@@ -103,7 +103,7 @@ def service_rows(result: Mapping[str, Any]) -> Table:
 
 
 def mixed_rows(result: Mapping[str, Any]) -> Table:
-    """How long corrections and corrected positions are available on the mean of all skies, beside S4 Table IV."""
+    """How long corrections and corrected positions are available on the mean of all skies, next to S4 Table IV."""
     printed = {"s4_egnos": "64.8 %", "s4_sisnet": "89.2 %"}
     rows: list[tuple[str, ...]] = []
     for case in (case for case in printed if case in result["config"]["cases"]):
@@ -130,7 +130,7 @@ def convergence_rows(result: Mapping[str, Any]) -> Table:
 
 
 def published_rows(result: Mapping[str, Any]) -> Table:
-    """Each figure of S2 Table 1, S2 section 6 and S4 III-A beside that of this study, as far as its cases were run."""
+    """Each figure of S2 Table 1, S2 section 6 and S4 III-A next to that of this study, as far as its cases were run."""
     return ("figure", "sky", "published", "here"), [*_error_rows(result), *_share_rows(result)]
 
 

@@ -1,4 +1,4 @@
-"""Errors of code and Doppler of a recorded drive beside those of a simulated receiver.
+"""Errors of code and Doppler of a recorded drive next to those of a simulated receiver.
 
 Codes are compared by C/N0 and elevation. The recorded drive is
 shown in two halves: figures may be chosen by the first, and are judged by the second. A raw table of a part of the

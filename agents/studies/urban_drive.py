@@ -229,7 +229,7 @@ def outage_lengths_s(rtk: NDArray[np.bool_], dt_s: float) -> Array:
 def seed_statistics(drives: Drives, dt_s: float) -> list[dict[str, Any]]:
     """Statistics of each drive, from its first position on: the cells of S1's tables and what goes with them.
 
-    Published and exact levels stand beside each other, each begun from its own level at the last fix.
+    Published and exact levels stand next to each other, each begun from its own level at the last fix.
     """
     return [_one_drive(drives, b, dt_s) for b in range(drives.mode.shape[1])]
 

@@ -163,7 +163,7 @@ def _quantiles(values: list[float]) -> tuple[float, float, float]:
 
 
 def rows_against_paper(tables: dict[str, Any]) -> list[dict[str, Any]]:
-    """Each printed figure of S1 beside ours: paper, ours, 5 and 95 % of the drives, the band aimed at, whether met."""
+    """Each printed figure of S1 next to ours: paper, ours, 5 and 95 % of the drives, the band aimed at, whether met."""
     return [_row(cell, tables) for cell in CELLS]
 
 

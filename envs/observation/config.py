@@ -26,7 +26,7 @@ class ObservationConfig(Config):
         "traffic; oracle: the true state with levels of 0",
     )
     services: tuple[str, ...] = Field(
-        (), description="services whose modes have entries, beside those of navigator.service; by code of mode"
+        (), description="services whose modes have entries, in addition to those of navigator.service; by code of mode"
     )
     navigator_services: tuple[str, ...] = Field(
         (), description="services of navigator.service, whose modes have entries; an environment sets it"

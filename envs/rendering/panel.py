@@ -287,7 +287,7 @@ def with_display(
 
 
 def _write(canvas: Canvas, advice: str, right: str, theme: Theme) -> None:
-    """Write the advice beside the light, and road and score at the right."""
+    """Write the advice next to the light, and road and score at the right."""
     width, middle = canvas.size_px[0], 0.5 * DISPLAY_PX
     canvas.text(DISPLAY_PX + 4, middle, advice, 13, theme.text, bold=True)
     canvas.text(width - 12, middle, right, 11, theme.text, anchor="right")

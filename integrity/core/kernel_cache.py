@@ -107,7 +107,7 @@ def _named_tuples() -> bytes:
 
 @cache
 def sources_of(source: Path) -> frozenset[Path]:
-    """A file and the files that it imports, directly or not: those of lanebound, and those beside the file."""
+    """A file and the files that it imports, directly or not: those of lanebound, and those in its folder."""
     found: set[Path] = set()
     waiting = [source]
     while waiting:

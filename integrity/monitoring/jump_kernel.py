@@ -4,7 +4,7 @@ Each epoch the position first moves on from the last RTK fix by Doppler or odome
 would have without RTK. When both levels hold, the new RTK position lies within their sum of it, on either axis. A wrong
 fix, wrong reference coordinates or a spoofer that moves all satellites together violate this condition and no other:
 their residuals are perfect. A slow drift violates it in no single epoch. Against drifts a backup solution dead-reckons
-beside RTK without using it, for up to ``rtk.backup_s`` seconds, and then restarts at the RTK position. A contradiction
+in parallel with RTK, without it, for up to ``rtk.backup_s`` seconds, and then restarts at the RTK position. A contradiction
 between the backup solution and RTK counts as a jump at the time when the backup solution started, and the position
 returns to the backup solution. What follows a contradiction:
 
@@ -59,7 +59,7 @@ Array = NDArray[np.float64]
 # stages: no contradiction; one while RTK lasted, or at the end of an outage; in quarantine; after the quarantine
 TRUSTED, JUMPED, RETURNED, WAITING, RELEASED = 0, 1, 2, 3, 4
 LEAST_SPEED_MPS = 1.0  # to which the rate of a drift refers
-SETTLED_S = 0.5  # of D, until it tells a rate beside the noise of RTK
+SETTLED_S = 0.5  # of D, until a rate stands out of the noise of RTK
 ACCEPTED, REFUSED, QUARANTINED = 0, 1, 2  # verdicts; REFUSED: release the integers
 
 JUMP = record(

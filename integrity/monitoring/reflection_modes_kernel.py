@@ -1,7 +1,7 @@
 """Fault modes of measurements that are doubtful by their odds: which are left out, and the modes of sets of the rest.
 
 The odds of a measurement are those of :mod:`~lanebound.integrity.positioning.reflection_odds_kernel`. Measurements are
-independent given their C/N0. Sets of two and three of them are fault modes beside single ones; measurements that would
+independent given their C/N0. Sets of one, two and three of them are fault modes; measurements that would
 need more sets than are monitored are not used.
 """
 
@@ -28,7 +28,7 @@ Bools = NDArray[np.bool_]
 @jit
 def keep_likely(used: Bools, odds: Array, systems: float, reflections: Any, sets: Ints) -> int:
     """Take satellites out of use, the most doubtful first, until few enough sets remain to be monitored, and until
-    such a fault beside that of a system, whose priors have the sum ``systems``, is less likely than the limit.
+    such a fault together with that of a system, whose priors have the sum ``systems``, is less likely than the limit.
 
     Returns how many remain. used, odds (S,); reflections of REFLECTION_RULES; sets (D, LARGEST_SET) is scratch.
     """

@@ -1,4 +1,4 @@
-"""The context-aware monitor beside a navigator of any kind: ``navigator.context`` in its configuration.
+"""The context-aware monitor next to a navigator of any kind: ``navigator.context`` in its configuration.
 
 Once in ``interval_s`` it judges position, speed and link of the map. The position is that of the navigator, with its
 levels and tests (``judges: vehicle``), or one of its own by codes under weighted RAIM (``codes``, S5). The

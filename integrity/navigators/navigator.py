@@ -121,11 +121,11 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
         description="told: a prior pose may be given; cold: position from codes, no level before the heading is known",
     )
     more_levels: tuple[PlCase, ...] = Field(
-        (), description="further protection levels to report beside the operative one"
+        (), description="further protection levels to report, in addition to the operative one"
     )
     alert: AlertConfig = AlertConfig()
     context: ContextGuardConfig | None = Field(
-        None, description="context-aware monitor of position, Doppler speed and road beside this navigator"
+        None, description="context-aware monitor of position, Doppler speed and road, which runs next to this navigator"
     )
 
     @model_validator(mode="after")
@@ -144,7 +144,7 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
 
     @property
     def receiver(self) -> GnssConfig:
-        """What is simulated of receiver and signals: ``gnss``, and what the kind of navigator needs beside it."""
+        """What is simulated of receiver and signals: ``gnss``, and what the kind of navigator needs in addition."""
         return self.gnss
 
     @property

@@ -116,7 +116,7 @@ def satellite_variance(rules: Any, declared: float, age: float) -> float:
 def ionosphere_variance(rules: Any, slant: float, declared: float, age: float) -> tuple[float, float]:
     """Variance of each satellite's own slant delay, and the effect of the common one [m].
 
-    declared : vertical 1 sigma of a provider at age 0 [m], each satellite's own, beside what the rules state
+    declared : vertical 1 sigma of a provider at age 0 [m], each satellite's own, in addition to what the rules state
     """
     vertical = (1.0 - rules.iono_common) * rules.iono * rules.iono + declared * declared + rules.iono_growth * age
     return slant * slant * vertical, (slant - 1.0) * rules.iono * math.sqrt(rules.iono_common)

@@ -53,7 +53,7 @@ def overbounding_walk(sigma: float, tau_s: float, random_walk: float = 0.0) -> f
     """Random walk that overbounds a gyro's wander [rad/s/sqrt(s)]: ``sqrt(2 sigma^2 / tau + K^2)``.
 
     The wander is a Gauss-Markov bias of 1-sigma ``sigma`` [rad/s] and of a correlation time of at least ``tau_s``,
-    and a rate random walk K. The initial variance of the bias must hold ``2 sigma^2`` beside the turn-on bias
+    and a rate random walk K. The initial variance of the bias must hold ``2 sigma^2`` in addition to the turn-on bias
     (:mod:`.heading_kernel`).
     """
     return math.sqrt(2.0 * sigma**2 / tau_s + random_walk**2)

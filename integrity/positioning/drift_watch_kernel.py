@@ -3,7 +3,7 @@
 The path from an anchor, ``a`` in E and N, has an almost constant error of scale s and of course c. The displacement of
 RTK over the same window is ``(1 + s) a + c a_right + noise``: a path enlarged and turned. A position that drifts away
 differs from it by ``m``, the misfit. Both s and c are estimated from the windows before the anchor, so what is left of
-their errors is small beside the declared bounds of scale and heading, which the levels of dead reckoning must use.
+their errors is small against the declared bounds of scale and heading, which the levels of dead reckoning must use.
 
 For a window of T seconds, of which the vehicle moves M, with path L, at every epoch and for every anchor:
 

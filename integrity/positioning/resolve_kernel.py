@@ -338,7 +338,7 @@ def attempt(
     carriers: Carriers, candidate: Bools, ambiguities: Records, source: FloatSource, rules: Any, limit: float,
     next_id: int, further: float, chosen: Bools, relieved: Array,
 ) -> tuple[int, float, int]:  # fmt: skip
-    """Fix one set of candidates within ``limit``, held with ``further`` risk beside its own.
+    """Fix one set of candidates within ``limit``, held with ``further`` risk in addition to its own.
 
     Returns (status, P_IF, satellites under suspicion); ``chosen`` is set, and ``relieved`` when the set is refused.
     """

@@ -193,7 +193,7 @@ class RtkConfig(Config):
     backup_s: float = Field(
         10.0,
         ge=0,
-        description="how long a backup solution dead-reckons beside RTK without using it, to detect positions that "
+        description="how long a backup solution dead-reckons in parallel with RTK, to detect positions that "
         "drift away [s]; 0: from one epoch to the next",
     )
     hold_failures: int = Field(

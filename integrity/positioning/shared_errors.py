@@ -36,7 +36,7 @@ def solve_with_shared_errors(
     """Solve all epochs as :func:`~.code_solution.solve_ranges`, with the effects of shared errors (E, m, c) [m].
 
     Weights and rows are those of ``variance_m2``; gain, covariance and WSSE are those of the full covariance;
-    ``residual_m`` is ``D M y``, what remains beside the estimated shared errors; ``redundancy`` is ``D_ii M_ii``, so
+    ``residual_m`` is ``D M y``, what remains after the estimated shared errors; ``redundancy`` is ``D_ii M_ii``, so
     that ``slopes()`` is ``|S_i| / sqrt(M_ii)``.
     """
     own = solve_ranges(los_enu, y_m, variance_m2, used, system)

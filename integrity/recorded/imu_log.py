@@ -1,10 +1,10 @@
-"""Reader of inertial logs beside a GNSS solution: the format of rtklibexplorer's GNSS_IMU drives.
+"""Reader of inertial logs with a GNSS solution: the format of rtklibexplorer's GNSS_IMU drives.
 
 A drive is three files. ``imu.csv`` has 100 lines a second without a head: specific force [g] on three axes, rates
 [deg/s] on three axes, time since power-up [ms]; logging may begin and end within a line. ``imu.csv.tag`` is RTKLIB's
 time-tag file of it: 60 bytes of text, tick at the start (u4), GPS time at the start as seconds since 1970 (u4) and
 their fraction (f8), then for each received block the time since the start [ms] (u4) and the length of the file at that
-moment (u4, or u8 in later versions); little endian. A solution of RTKLIB lies beside it
+moment (u4, or u8 in later versions); little endian. A solution of RTKLIB lies next to it
 (:mod:`~lanebound.integrity.recorded.rtklib`).
 
 The sensor's clock is tied to GPS time by a line fitted to all tags. Axes of the log are forward, left, up; those here

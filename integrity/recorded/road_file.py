@@ -56,7 +56,7 @@ class RoadLine:
 
 @dataclass(frozen=True)
 class RoadLines:
-    """The lines of a file, and what it holds beside: features that are no lines, ways without cars, ways and limits
+    """The lines of a file, and what else it holds: features that are no lines, ways without cars, ways and limits
     that are malformed, the first of them in words."""
 
     lines: tuple[RoadLine, ...]

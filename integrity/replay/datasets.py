@@ -16,7 +16,7 @@ __all__ = ["kind_of", "replay_folder"]
 KINDS = {
     "smartloc": "*_Input.txt(.gz) and *_GT.txt of smartLoc",
     "comma2k19": "global_pose, CAN and IMU of a comma2k19 segment",
-    "imu_log": "an inertial log NAME.csv with NAME.csv.tag beside a solution .pos of RTKLIB",
+    "imu_log": "an inertial log NAME.csv with NAME.csv.tag next to a solution .pos of RTKLIB",
     "rinex": "two observation files and navigation in RINEX 2 to 4, such as rover.obs, base.obs and base.nav",
 }
 POSITION_FILE = "{}_position.txt"  # latitude and longitude [deg], ellipsoidal height [m]

@@ -1,6 +1,6 @@
 """Inertial dead reckoning in artificial outages of a recorded drive: gyros and accelerometers, without wheels.
 
-The recording is an inertial log beside a solution of RTKLIB (:mod:`lanebound.integrity.recorded.imu_log`). The sensor
+The recording is an inertial log with a solution of RTKLIB (:mod:`lanebound.integrity.recorded.imu_log`). The sensor
 is levelled by gravity at rest. From the first part of the drive follow its azimuth in the vehicle, the lag of its
 clock and the bias of its yaw rate (:func:`motion_of_log`). An outage starts at the position, track and speed of the
 solution. Along the track
@@ -246,7 +246,7 @@ def _reference(track: RtkSolution, at: Array) -> tuple[Array, Array, Array, Bool
 
 
 def _old(track: RtkSolution, enu: Array) -> Bools:
-    """Epochs whose velocity is not theirs: it contradicts the change of position to the epochs beside it.
+    """Epochs whose velocity belongs to another epoch: it contradicts the change of position from and to its neighbours.
 
     Raises
     ------
@@ -428,5 +428,5 @@ def _solutions(folder: Path) -> list[Path]:
 def _only(found: list[Path], folder: Path, what: str) -> Path:
     if len(found) != 1:
         names = ", ".join(path.name for path in found) or "none"
-        raise InputError(f"{folder} must have one {what} beside its inertial log, has {names}: leave one there")
+        raise InputError(f"{folder} must have one {what} next to its inertial log, has {names}: leave one there")
     return found[0]

@@ -54,7 +54,7 @@ def navigation_files(folder: Path) -> list[Path]:
     found = _of_type(folder, "NGH")
     if not found:
         raise InputError(
-            f"{folder} must hold a RINEX navigation file beside its observations, has none: add one, such as base.nav"
+            f"{folder} must hold a RINEX navigation file next to its observations, has none: add one, such as base.nav"
         )
     return found
 

@@ -1,6 +1,6 @@
 """Recorded signals of one receiver as a navigator with positioning services takes them; the truth is apart.
 
-A smartLoc drive has codes alone, free of satellite clocks and atmosphere, and wheel speed and yaw rate beside them. A
+A smartLoc drive has codes alone, free of satellite clocks and atmosphere, and wheel speed and yaw rate. A
 receiver in RINEX has codes and carriers: satellite clock with its group delay, troposphere
 (:func:`~.differences.troposphere_m`) and ionosphere (:mod:`~lanebound.integrity.sky.klobuchar`) are taken off here, as
 the receiver of a car does. A second receiver at a known place gives the corrections of DGPS: its own codes, smoothed by

@@ -227,7 +227,7 @@ def _turn(arrivals, count, tracked, loops):  # type: ignore[no-untyped-def]
 BANDS = 2  # that a receiver has at most
 MATERIALS = 4  # members of materials.Material
 MULTIPATH, DIFFRACTED = 4, 5  # further values of visibility.SignalPath
-NOTHING, DIRECT = -2.0, -1.0  # values of TRACKED.arrival beside indices of faces
+NOTHING, DIRECT = -2.0, -1.0  # values of TRACKED.arrival that are no indices of faces
 UNKNOWN_FACE = -0.5  # a reflection whose face is not known
 CELL_RAD = 0.06  # the mask says 'free' or 'blocked' for a cell of 3 degrees: so near the edge decides
 MOST_LOSS_DB = 30.0  # of a diffracted ray that is followed

@@ -38,7 +38,7 @@ VEHICLE_DRAWS = record(
     outage="whether an outage begins, uniform [-]",
     outage_length="standard normal [-]",
 )
-"""Draws of a vehicle and epoch beside those for its satellites."""
+"""Draws of a vehicle and epoch in addition to those for its satellites."""
 OF_SATELLITE = (NORMALS.itemsize // 8, UNIFORMS.itemsize // 8, NEAR.itemsize // 8)
 OF_VEHICLE = VEHICLE_DRAWS.itemsize // 8
 CLOCK_AT, IMU_AT, ODOMETER_AT, OUTAGE_AT, LENGTH_AT = (

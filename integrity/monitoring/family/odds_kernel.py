@@ -59,7 +59,7 @@ class OddsTables(NamedTuple):
 
 @jit
 def find_odds(first: int, last: int, sine: Array, cn0: Array, prior: float, reflections: Records, odds: Array) -> None:
-    """Odds of codes (n,) by the sine of the elevation and C/N0 [dB-Hz], beside the prior of all other faults."""
+    """Odds of codes (n,) by the sine of the elevation and C/N0 [dB-Hz], next to the prior of all other faults."""
     rules = reflections[0]
     for k in range(first, last):
         odds[k] = prior + odds_of(rules, sine[k], cn0[k])

@@ -129,7 +129,7 @@ def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -
 
     The limit of the jump is widened to 3 sigma while the filter itself is less certain than the limit. Courses refused
     for their jump alone, for as long as a failed gyro needs for it, raise the variance of the filter. It then follows
-    them; the heading by the gyro goes on beside it (:mod:`~lanebound.integrity.monitoring.heading_doubt_kernel`).
+    them; the heading by the gyro goes on in parallel (:mod:`~lanebound.integrity.monitoring.heading_doubt_kernel`).
     """
     heading, limits = vehicle.heading, par.heading.calibration
     magnitude = math.hypot(w.v_e, w.v_n)

@@ -33,7 +33,7 @@ __all__ = [
 
 @jit
 def heading_bias(vehicle: Any, rules: Any) -> float:
-    """Bound on the heading's error beside the filter's variance [rad]; pi before the first calibration."""
+    """Bound on the heading's error in addition to the filter's variance [rad]; pi before the first calibration."""
     if not vehicle.since_calibration < math.inf:
         return math.pi
     return float(min(rules.heading_bias + rules.heading_drift * vehicle.since_calibration, math.pi))

@@ -132,7 +132,7 @@ def judge_fix(first: int, last: int, epoch: Epoch) -> None:
 
 @jit
 def judge_position(vehicle: Any, par: Any, w: Any, expected: Array, found: Array) -> int:
-    """ACCEPTED, REFUSED or QUARANTINED: a confirmed RTK position beside the one expected; levels of both (R, 2) [m].
+    """ACCEPTED, REFUSED or QUARANTINED: a confirmed RTK position and the one expected; levels of both (R, 2) [m].
 
     An RTK position without a level does not replace a position that has one.
     """

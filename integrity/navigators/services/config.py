@@ -26,7 +26,7 @@ BROADCAST_PRIOR = (1e-8, 1e-4, 1e-4, 1e-4, 1e-4)  # WG-C ARAIM ADD v3.1: GPS 1e-
 
 IN_STREETS = CodeErrorBudget(reflections_m=1.0)
 # Ionosphere-free codes have 2.6 times the noise of one band, but the longer path of a reflected signal delays both
-# alike: 0.6 m would do for six sigma (seeds 1001, 1002). Strong codes beside a reflection are beyond three sigma of
+# alike: 0.6 m would do for six sigma (seeds 1001, 1002). Strong codes with a reflection are beyond three sigma of
 # 0.6 m in 0.8 % of the epochs of urban streets (1.1 % at rest), of 0.8 m as often as normal errors (seed 51: 0.27 %)
 ON_TWO_BANDS = CodeErrorBudget(reflections_m=0.8)
 

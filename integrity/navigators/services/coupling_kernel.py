@@ -242,7 +242,7 @@ def propose(v: int, epoch: Epoch, service_cases: Any, coupling: Coupling, a: Arr
 
 @jit
 def start_levels(v: int, r: int, epoch: Epoch, service_cases: Any, coupling: Coupling, a: Array, part: Part) -> None:
-    """What the coupled position leaves to case r: bounds beside K sigma, and of its whole code error.
+    """What the coupled position leaves to case r: bounds in addition to K sigma, and of its whole code error.
 
     The risk of code faults is that of the service. K sigma has the rest: K of the whole risk is raised by a bound. The
     axes of the bounds follow the heading when it has turned by more than TURNED.

@@ -1,7 +1,7 @@
 """The position of a service from its corrected ranges: fault test, protection levels, and whether it is offered.
 
-Satellites are rows with a variance and the odds of a fault; sets of two and three of them are fault modes beside single
-satellites and systems. :func:`takes` decides which position is offered, by levels and by the preference of services.
+Satellites are rows with a variance and the odds of a fault; fault modes are single satellites, sets of two and three of
+them, and systems. :func:`takes` decides which position is offered, by levels and by the preference of services.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ SERVICE_INPUT = record(
 """The rest of an epoch."""
 
 PART = record(fast="part of the variance by noise and multipath [m^2]", odds="that the range is off [-]")
-"""What a row of a service has beside :data:`~lanebound.integrity.positioning.rows_kernel.ROW`."""
+"""What a row of a service has in addition to :data:`~lanebound.integrity.positioning.rows_kernel.ROW`."""
 
 SERVICE_WORK = record(
     due=("?", "a position is to be found"),

@@ -210,7 +210,7 @@ class LabelStage(SeparateStage):
 
 
 class ServiceSet:
-    """The services of a navigator beside RTK from one station.
+    """The services of a navigator, without RTK from one station.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ class ServiceSet:
         return out | (initial_coupling(batch, self._cases) if self._coupling else {})
 
     def with_inputs(self, m: Measurements, states: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The states, and beside them what the services measure and hold in this epoch."""
+        """The states, and what the services measure and hold in this epoch."""
         if not self.active:
             return states
         inputs = {service.name: self._inputs(service, m) for service in self._coded}

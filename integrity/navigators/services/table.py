@@ -33,7 +33,7 @@ class Service:
     ----------
     name, mode, about : in configurations; the code of its positions; what it uses
     provider : of its corrections, a name of :data:`~lanebound.integrity.sensors.augmentation.PROVIDERS`; None: none
-    second : bands that may be its second one beside L1 (1: L2, 2: L5); empty: it needs none
+    second : bands that may be its second one, next to L1 (1: L2, 2: L5); empty: it needs none
     combined : ranges are free of the ionosphere
     fixes : integers of carriers against a reference, real or virtual
     declared : its declared figures, where ``services`` of a configuration has none

@@ -1,4 +1,4 @@
-"""Zenith delay of the troposphere as a state of PPP: a scalar filter beside the position of each epoch.
+"""Zenith delay of the troposphere as a state of PPP: a scalar filter next to the position of each epoch.
 
 Least squares of an epoch with position, clocks and zenith delay as unknowns give the delay and its variance R. The
 filter predicts a Gauss-Markov process and takes the epoch with ``K = P / (P + R)``, R raised for errors that last.
