@@ -58,8 +58,7 @@ if TYPE_CHECKING:
         register_navigator,
     )
     from lanebound.integrity.navigators.solution import Solution
-    from lanebound.integrity.positioning.modes import Mode
-    from lanebound.integrity.positioning.rtk_status import RtkStatus
+    from lanebound.integrity.positioning.modes import Mode, RtkStatus
     from lanebound.integrity.sensors.faults import Fault, FaultSchedule
     from lanebound.integrity.sky.road import Road
     from lanebound.integrity.sky.track import SkyTrack

@@ -33,7 +33,7 @@ def print_rtk(found: dict[str, Any]) -> None:
 
 def _print_rtk_notes(found: dict[str, Any]) -> None:
     """Print why epochs are not fixed, and what seems wrong with the inputs."""
-    from lanebound.integrity.positioning.rtk_status import RtkStatus
+    from lanebound.integrity.positioning.modes import RtkStatus
 
     place = ",".join(f"{value:.3f}" for value in found["base_antenna_ecef_m"])
     typer.echo(

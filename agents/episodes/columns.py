@@ -21,8 +21,7 @@ from lanebound.envs.truth import true_lead
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest, require_registered
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 
 __all__ = ["COLUMNS", "Column", "Moment", "columns", "describe_columns", "register_column", "row_of",
            "withdraw_column"]  # fmt: skip

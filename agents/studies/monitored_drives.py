@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from lanebound.agents.checkpointing.runner import Advance, ignore
 from lanebound.agents.studies.street_drives import StreetDrivesConfig, road_of, street_of
 from lanebound.integrity.core.config import Config, Field
-from lanebound.integrity.monitoring.family.budget import CodeBudget
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import MonitorKind
 from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.monitoring.family.weighting import CodeBudget
 from lanebound.integrity.navigators.navigator import Navigator
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget

@@ -11,8 +11,7 @@ from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.navigation import Source
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 
 __all__ = ["cost_figures", "rules_of"]
 

@@ -31,8 +31,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest, require_registered
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 
 __all__ = ["GROUPS", "LANES", "OBSERVATION_INDEX", "Entry", "Observed", "Source", "describe", "entries", "group_slices",
            "register_entry", "sources_of", "withdraw_entry"]  # fmt: skip

@@ -28,8 +28,7 @@ from lanebound.envs.rendering.map_view import (
 from lanebound.envs.rendering.theme import Colour, Theme, mix
 from lanebound.envs.rendering.trace import Trace
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.visibility import SignalPath
 

@@ -23,17 +23,16 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.presets import deep_merge
 from lanebound.integrity.monitoring.alerts import AlertReason, AlertState, step
-from lanebound.integrity.monitoring.family.budget import CodeBudget
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.levels import normal_factor
-from lanebound.integrity.monitoring.family.memory import Memory
+from lanebound.integrity.monitoring.family.memory import Memory, MonitorVerdicts
 from lanebound.integrity.monitoring.family.monitor import GOES_ON, MEMORY, new_memory, watch
-from lanebound.integrity.monitoring.family.outcome import MonitorVerdicts
 from lanebound.integrity.monitoring.family.rejection import global_threshold
+from lanebound.integrity.monitoring.family.weighting import CodeBudget
 from lanebound.integrity.navigators.context_guard import CONTEXT
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, register_navigator
 from lanebound.integrity.navigators.solution import Solution

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 
 if TYPE_CHECKING:
     from lanebound.integrity.sensors.instruments import Measurements
@@ -64,7 +63,7 @@ class Solution:
     pl_at_m, pl_ct_m : (B,) protection levels at the operative risk
     pl_cases_m : (B, R, 2) protection levels AT, CT of every configured case, the operative one first
     mode : (B,) :class:`~lanebound.integrity.positioning.modes.Mode`
-    rtk : (B,) :class:`~lanebound.integrity.positioning.rtk_status.RtkStatus`, why RTK holds or not
+    rtk : (B,) :class:`~lanebound.integrity.positioning.modes.RtkStatus`, why RTK holds or not
     alert : (B,) bool; available : (B,) bool, no protection level exceeds its limit now
     reason : (B,) codes of :class:`~lanebound.integrity.monitoring.alerts.AlertReason`
     hdop : (B,) of the solution in use (inf without satellites)

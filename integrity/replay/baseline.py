@@ -35,11 +35,10 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import MARK
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.cycle_slips_kernel import MIN_COMMON
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
-from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 from lanebound.integrity.positioning.resolve_kernel import FIRST_SHARE
 from lanebound.integrity.positioning.rtk_config import FloatConfig, RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import MOST_AMBIGUITIES, weigh
-from lanebound.integrity.positioning.rtk_status import RtkStatus
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.differences import Arc, Reduced, arc_of, matched, reduce_epoch
 from lanebound.integrity.replay.rtk_stages import Entries, RtkStages, Signals

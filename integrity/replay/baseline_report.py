@@ -21,8 +21,7 @@ from lanebound.integrity.core.frames import (
     track_from_enu_matrix,
 )
 from lanebound.integrity.core.progress import Progress, silent
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, read_observations
 from lanebound.integrity.recorded.source import finite_number
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, base_antenna, on_earth, solve_baseline

@@ -35,7 +35,7 @@ from lanebound.integrity.sensors.gnss import (
 from lanebound.integrity.sensors.imu import ImuConfig, ImuSample, ImuState, imu_parameters
 from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL, OBSERVED_VEHICLE
 from lanebound.integrity.sensors.odometer import OdometerConfig, OdometerSample, OdometerState, odometer_parameters
-from lanebound.integrity.sky.geostationary import geostationary_view
+from lanebound.integrity.sky.constellation import geostationary_view
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 

@@ -2,6 +2,8 @@
 
 Nominal orbits reproduce number, geometry and motion of the satellites in view. They do not give the position of a named
 satellite at a date: the almanac reader (:mod:`lanebound.integrity.sky.almanac`) does.
+
+Directions of geostationary satellites, which bring the messages of SBAS.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import date
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -17,17 +20,46 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range
 from lanebound.integrity.core.frames import ecef_from_geodetic, enu_from_ecef
-from lanebound.integrity.sky.orbit import (
-    EARTH_RATE_RADPS,
-    MU_M3PS2,
-    OrbitElements,
-    nodal_regression_radps,
-    propagate,
-)
+from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS, MU_M3PS2, OrbitElements, nodal_regression_radps, propagate
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["SECONDS_PER_WEEK", "SatelliteTable", "SkyConfig", "gps_seconds_of", "nominal_satellites"]
+__all__ = [
+    "SECONDS_PER_WEEK",
+    "SatelliteTable",
+    "SkyConfig",
+    "geostationary_view",
+    "gps_seconds_of",
+    "nominal_satellites",
+]
+
+
+@lru_cache(maxsize=64)
+def geostationary_view(longitude_deg: tuple[float, ...], place_rad: tuple[float, float, float], batch: int) -> SkyView:
+    """Directions of G geostationary satellites over the equator from a place (latitude, longitude, height).
+
+    One row, which B vehicles share; system and prn are -1, as no range is measured.
+    """
+    longitude = np.deg2rad(np.asarray(longitude_deg, dtype=np.float64))
+    ecef = GEOSYNCHRONOUS_M * np.stack([np.cos(longitude), np.sin(longitude), np.zeros_like(longitude)], -1)
+    latitude, east, height = (np.full(1, value) for value in place_rad)
+    offset = enu_from_ecef(ecef - ecef_from_geodetic(latitude, east, height), latitude, east)
+    distance = np.linalg.norm(offset, axis=-1)
+    los = (offset / distance[:, None])[None]
+    elevation = np.arcsin(los[..., 2])
+    none = np.full(len(longitude_deg), -1, np.int64)
+    return SkyView(
+        los_enu=los,
+        elevation_rad=elevation,
+        azimuth_rad=np.remainder(np.arctan2(los[..., 0], los[..., 1]), 2.0 * np.pi),
+        range_m=distance[None],
+        range_rate_mps=np.zeros_like(elevation),
+        above=elevation > 0.0,
+        system=none,
+        prn=none,
+        index=np.zeros(batch, np.int64),
+    )
+
 
 Array = NDArray[np.float64]
 

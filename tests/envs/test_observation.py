@@ -21,8 +21,7 @@ from lanebound.envs.observation import ObservationConfig, entries
 from lanebound.envs.records import EgoBelief, Traffic
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 
 WIDTH_M = 3.25
 SKY = np.array([[5, 10, 20]] * 5)

@@ -26,8 +26,7 @@ from lanebound.envs.rendering.panel import _ago, _rtk, legend_entries
 from lanebound.envs.rendering.roads import RoadDrawing
 from lanebound.envs.rendering.theme import THEMES
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 from lanebound.integrity.sky.scene import City, Surface, prisms
 
 DARK = THEMES["dark"]

@@ -8,8 +8,7 @@ import numpy as np
 
 from lanebound.envs.records import EgoBelief
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 
 __all__ = ["believe"]
 

@@ -14,7 +14,7 @@ from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.monitoring.context.monitor import ContextReason, Light
 from lanebound.integrity.navigators.context_guard import ContextGuard, ContextGuardConfig, Judged, judged_position
 from lanebound.integrity.navigators.solution import ContextReport, Solution
-from lanebound.integrity.positioning.map_matching.builder import MapBuilder
+from lanebound.integrity.positioning.map_matching.generators import MapBuilder
 from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 
 DT, SPEED = 0.5, 10.0

@@ -27,8 +27,7 @@ from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST
 from lanebound.integrity.navigators.solution import Solution
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.road import Road

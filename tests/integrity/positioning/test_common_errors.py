@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lanebound.integrity.assessment.bounding import clopper_pearson
-from lanebound.integrity.monitoring.family.budget import CodeBudget
+from lanebound.integrity.monitoring.family.weighting import CodeBudget
 from lanebound.integrity.navigators.services.config import ServicesConfig
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.sky.constellation import SkyConfig

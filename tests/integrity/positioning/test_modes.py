@@ -10,8 +10,7 @@ import pytest
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning import codes_kernel as codes
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 
 
 def test_codes_are_those_of_the_kernels() -> None:

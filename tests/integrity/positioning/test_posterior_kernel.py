@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom, poisson
 
 from lanebound.integrity.positioning.lambda_kernel import OK, SearchScratch, integer_least_squares, search_scratch
-from lanebound.integrity.positioning.posterior_kernel import others_probability, row_sum
+from lanebound.integrity.positioning.resolve_kernel import others_probability, row_sum
 
 Array = NDArray[np.float64]
 NODES = 20_000

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.positioning.map_matching.builder import MapBuilder
-from lanebound.integrity.positioning.map_matching.generators import DriveEnvironment, generate_map
+from lanebound.integrity.positioning.map_matching.generators import DriveEnvironment, MapBuilder, generate_map
 from lanebound.integrity.positioning.map_matching.map_errors import MapErrorsConfig, with_errors
 from lanebound.integrity.positioning.map_matching.road_map import NO_LINK, LinkKind
 

@@ -16,8 +16,7 @@ from typer.testing import CliRunner
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.modes import Mode, RtkStatus
 from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows, read_observations
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, solve_baseline
 from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline, summarise

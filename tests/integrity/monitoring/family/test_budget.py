@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.core.streams import Streams
-from lanebound.integrity.monitoring.family.budget import CodeBudget
+from lanebound.integrity.monitoring.family.weighting import CodeBudget
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.sensors.broadcast import BroadcastConfig, change_rate, initial_broadcast, obliquity
 

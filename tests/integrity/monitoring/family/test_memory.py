@@ -8,11 +8,11 @@ from code_geometry import directions, quiet, sky, with_everything
 from scipy.stats import binom
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring.family.budget import CodeBudget
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.kinds import monitor_named
+from lanebound.integrity.monitoring.family.memory import MonitorOutcome
 from lanebound.integrity.monitoring.family.monitor import watch
-from lanebound.integrity.monitoring.family.outcome import MonitorOutcome
+from lanebound.integrity.monitoring.family.weighting import CodeBudget
 
 
 def at_rest(y: np.ndarray, los: np.ndarray, used: np.ndarray | bool = True, sigma_m: float = 2.0) -> CodeEpochs:
