@@ -11,7 +11,7 @@ from typing import Literal
 from pydantic import Field
 
 from lanebound.integrity.core.config import Config
-from lanebound.integrity.sensors.clock import V2vConfig
+from lanebound.integrity.sensors.v2v import V2vConfig
 
 __all__ = ["PerceptionConfig", "SensorConfig"]
 

@@ -10,7 +10,7 @@ import math
 
 from lanebound.envs.batch.lanes_kernel import local, nearest, width_at
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import remainder, wrap
+from lanebound.integrity.core.angles_kernel import remainder, wrap
 from lanebound.integrity.core.records import record
 
 __all__ = ["FIX", "adopt", "begin", "coast", "locate", "rates", "settle", "take", "take_given"]

@@ -14,7 +14,7 @@ from lanebound.envs.batch.lanes_kernel import (
     reachable,
 )
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import remainder, wrap
+from lanebound.integrity.core.angles_kernel import remainder, wrap
 
 __all__ = ["FASTER", "IDLE", "LEFT", "RIGHT", "SLOWER", "STEERING_MOST_RAD", "actuate", "decide", "intend", "not_zero",
            "past_end", "pursuit_rad", "steering_rad"]  # fmt: skip

@@ -19,7 +19,7 @@ import math
 from lanebound.envs.batch.costs_kernel import begin_corridor, follow_corridor, price
 from lanebound.envs.batch.lanes_kernel import CIRCLE, STRAIGHT, advised, local, straight, width_at
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import ROUNDING_M, remainder, wrap
+from lanebound.integrity.core.angles_kernel import ROUNDING_M, remainder, wrap
 
 __all__ = ["count_epoch", "score"]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.lanes_kernel import local
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import TWO_PI
+from lanebound.integrity.core.angles_kernel import TWO_PI
 from lanebound.integrity.sky.raytrace_kernel import bin_of
 
 __all__ = ["Forecast", "HourTable", "SkyRows", "fill_sky", "predict"]

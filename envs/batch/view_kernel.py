@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lanebound.envs.batch.lanes_kernel import local, width_at
 from lanebound.envs.batch.route_map_kernel import path_at, project
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import wrap
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import Records, record
 
 __all__ = ["AHEAD", "BELIEF_NUMBER", "BELIEF_WHOLE", "BESIDE", "BLIND", "FULL", "ORACLE", "PREVIEW", "SKY", "SOURCE",

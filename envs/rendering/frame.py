@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
 from lanebound.envs.rendering.trace import Trace
+from lanebound.integrity.core.angles_kernel import ROUNDING_M
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import ROUNDING_M
 from lanebound.integrity.sky.scene import City
 
 __all__ = ["CAUTION_SHARE", "Bodies", "EpisodeCost", "Frame", "Satellites", "Status"]

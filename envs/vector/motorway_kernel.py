@@ -28,7 +28,7 @@ from lanebound.envs.vector.idm_kernel import (
 )
 from lanebound.envs.worlds.idm_parameters_kernel import BESIDE_M, BRISK
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import wrap
+from lanebound.integrity.core.angles_kernel import wrap
 
 __all__ = ["SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "sort_along", "survey"]
 

@@ -7,8 +7,8 @@ import math
 from lanebound.envs.batch.lanes_kernel import local, on_lane, width_at
 from lanebound.envs.batch.records_kernel import cars_of
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.bundle_kernel import unbundle
-from lanebound.integrity.core.frames import wrap
 from lanebound.integrity.core.records import record
 
 __all__ = ["NO_REWARD", "OF_HIGHWAY", "OF_ROADS", "WORLD", "judge_rows"]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.assessment.record import AXES, Axis, Record
+from lanebound.integrity.core.angles_kernel import ROUNDING_M
 from lanebound.integrity.core.errors import InputError, require_in_range
-from lanebound.integrity.core.frames import ROUNDING_M
 
 __all__ = [
     "AxisEvents",

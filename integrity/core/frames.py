@@ -1,7 +1,4 @@
-"""Transformations between frames: geodetic, ECEF, local ENU and the track frame of a vehicle.
-
-Angles in one turn, and what counts as rounding of a length.
-"""
+"""Transformations between frames: geodetic, ECEF, local ENU and the track frame of a vehicle."""
 
 from __future__ import annotations
 
@@ -11,46 +8,18 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.core.accel import jit
-
 __all__ = [
     "GRAVITY_MPS2",
-    "ROUNDING_M",
-    "TWO_PI",
     "WGS84_A_M",
     "WGS84_E2",
     "ecef_from_enu_matrix",
     "ecef_from_geodetic",
     "enu_from_ecef",
     "geodetic_from_ecef",
-    "remainder",
     "rotate_covariance",
     "track_from_enu_matrix",
-    "wrap",
     "wrap_angle",
 ]
-
-
-TWO_PI = 2.0 * math.pi
-ROUNDING_M = 1e-9  # an error that equals its level is not beyond it; differences of coordinates round by 1e-12 m
-
-
-@jit(inline=True)
-def wrap(angle):  # type: ignore[no-untyped-def]
-    """The angle in [-pi, pi); rounding can give pi.
-
-    Rounded as ``(angle + pi) % (2 pi) - pi`` of highway-env, whose steering multiplies other rounding at a crawl. In
-    Python :func:`~lanebound.integrity.core.frames.wrap_angle` rounds in the same way, for angles within two turns.
-    """
-    above = angle + math.pi
-    return above - TWO_PI * math.floor(above / TWO_PI) - math.pi
-
-
-@jit(inline=True)
-def remainder(angle):  # type: ignore[no-untyped-def]
-    """The angle in [-pi, pi], as ``math.remainder``: angles in this range are unchanged, which :func:`wrap` rounds."""
-    return angle - TWO_PI * round(angle / TWO_PI)
-
 
 Array = NDArray[np.float64]
 Angle = TypeVar("Angle", float, NDArray[np.float64])

@@ -1,9 +1,8 @@
 """Fault detection and exclusion: test, exclude the worst mode, test again (S1 3.1).
 
-Significance levels of the global and the local test, how they hang together, and the thresholds they give.
-
-Bonferroni splits one significance over the local tests; Baarda's B-method (S1 3.1) lets both tests detect the same bias
-with the same power: the non-centrality ``lambda_0`` of the local test (df 1) is that of the global test (df).
+Significance levels of the global and the local test give their thresholds. Bonferroni splits one significance over the
+local tests; Baarda's B-method (S1 3.1) lets both tests detect the same bias with the same power: the non-centrality
+``lambda_0`` of the local test (df 1) is that of the global test (df).
 """
 
 from __future__ import annotations

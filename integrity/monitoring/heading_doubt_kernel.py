@@ -28,7 +28,7 @@ import math
 from typing import Any
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import wrap
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import record
 from lanebound.integrity.positioning.heading_kernel import HEADING, copy_heading, predict_heading, raise_uncertainty
 

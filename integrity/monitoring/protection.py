@@ -4,10 +4,9 @@
 left after what is spent on events outside the modes. Columns and axes as in
 :mod:`lanebound.integrity.monitoring.separation`; priors of the fault-free column are 2 (both sides count).
 
-Factors and tables of SBAS protection levels (RTCA DO-229D, appendices A and J).
-
-SBAS has no fault modes of its own: the ground segment bounds every error by a normal law, and the level is a factor
-times the standard deviation (S3, section on SBAS).
+Factors and tables of SBAS levels are those of RTCA DO-229D, appendices A and J. SBAS has no fault modes of its own: the
+ground segment bounds every error by a normal law, and the level is a factor times the standard deviation (S3, section
+on SBAS).
 """
 
 from __future__ import annotations

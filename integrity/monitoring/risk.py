@@ -5,10 +5,9 @@ hold what they promise: the separation test's own threshold (two sides, two axes
 factor, and missed-detection factors from the prior and the share of each mode. *Published* factors,
 ``K_fa = Qinv(a/(2 n))`` and one ``K_md = Qinv(risk)``, reproduce the papers' tables.
 
-Fault modes as subsets of the satellites: which ones fail together, how likely, and what is left unmonitored.
-
-A primary event is a fault of one satellite or of one constellation. A mode is a set of events that happen at once, and
-removes every satellite that they touch (WG-C ARAIM ADD v3.1, section 3.2 and appendix B).
+Fault modes are subsets of the satellites that fail together. A primary event is a fault of one satellite or of one
+constellation. A mode is a set of events that happen at once, and removes every satellite that they touch (WG-C ARAIM
+ADD v3.1, section 3.2 and appendix B).
 """
 
 from __future__ import annotations

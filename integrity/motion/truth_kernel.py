@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import remainder
+from lanebound.integrity.core.angles_kernel import remainder
 from lanebound.integrity.core.records import record
 
 __all__ = ["END", "TRUTH", "all_finite", "between", "between_rows"]

@@ -31,7 +31,7 @@ import math
 from typing import Any
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import wrap
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import record
 
 __all__ = [

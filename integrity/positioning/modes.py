@@ -1,6 +1,5 @@
-"""How a position was obtained: the modes of S1 figure 1, the services of S2 Table 1, and those that users add.
-
-Why RTK holds at an epoch, or why not.
+"""How a position was obtained: the modes of S1 figure 1, the services of S2 Table 1, and those that users add; and why
+RTK holds at an epoch, or why not.
 """
 
 from __future__ import annotations

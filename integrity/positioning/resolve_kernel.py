@@ -14,20 +14,19 @@ A fix found by leaving one out is held with the risk ``P_IF + (1 - FIRST_SHARE) 
 set that still contains the faulty carrier has no right integers, and its fit and ratio must refuse it.
 
 With ``posterior``, a set whose failure rate is above its limit may still be fixed: where, given the measurements, the
-probability that another vector is right is within the same limit (:mod:`.posterior_kernel`). The bound above holds with
+probability that another vector is right is within the same limit (below). The bound above holds with
 that limit in the place of ``P_IF``, because which of the two rules a set is judged by follows from the geometry alone.
 
 Letters: ``x`` (3,) position and ``q`` (3, 3) its covariance from the code, both completed by the held phases; ``a`` the
 float ambiguities and ``Q_a`` their covariance; ``P_IF`` the bootstrapped failure rate of a set.
 
-Probability that the best integers are wrong, given the float ambiguities.
-
-With normal errors of the declared covariance and no preference for any integers beforehand, the float solution ``a``
-gives a vector ``z`` the probability ``exp(-q_z / 2) / sum_u exp(-q_u / 2)``, ``q_z = (a - z)' Q^-1 (a - z)``. Accepting
-the best vector only where that of all others together is at most ``L`` is wrong with a probability of at most ``L``:
-``P(wrong and accepted) = E[P(wrong | a); accepted] <= L``. Float solutions differ from the true integers by an error
-whose law does not depend on them, so that the mean over integers is also the probability for the true ones. Of all
-rules with that failure rate this one accepts most (Teunissen 2005, Artificial Satellites 40, 219-227).
+Probability that the best integers are wrong, given the float ambiguities: with normal errors of the declared covariance
+and no preference for any integers beforehand, the float solution ``a`` gives a vector ``z`` the probability ``exp(-q_z
+/ 2) / sum_u exp(-q_u / 2)``, ``q_z = (a - z)' Q^-1 (a - z)``. Accepting the best vector only where that of all others
+together is at most ``L`` is wrong with a probability of at most ``L``: ``P(wrong and accepted) = E[P(wrong | a);
+accepted] <= L``. Float solutions differ from the true integers by an error whose law does not depend on them, so that
+the mean over integers is also the probability for the true ones. Of all rules with that failure rate this one accepts
+most (Teunissen 2005, Artificial Satellites 40, 219-227).
 
 The bootstrapped failure rate is known before the measurements; this probability belongs to them. Errors that are
 smaller than their usual size show themselves by the distance between the best vector and the others. The largest

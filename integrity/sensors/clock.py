@@ -9,38 +9,15 @@ frequency) make, with ``S_f = h0 / 2`` and ``S_g = 2 pi^2 h-2``, over a step dt:
 Source: Brown and Hwang, Introduction to Random Signals and Applied Kalman Filtering, 4th ed., section 9.3; the flicker
 floor h-1, which no finite state describes, is left out. Receivers that steer their clock or let it jump by whole
 milliseconds differ by what every epoch's solution takes out anyway.
-
-Configuration of vehicle-to-vehicle broadcasts of estimated states over a radio channel with delay and loss.
-
-The channel is :mod:`lanebound.envs.batch.perception_kernel`: it needs the vehicles around each receiver.
 """
 
 from __future__ import annotations
 
 import math
 
-from pydantic import Field
-
-from lanebound.integrity.core.config import Config
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS
 
-__all__ = ["OCXO_H0", "OCXO_HM2", "TCXO_H0", "TCXO_HM2", "V2vConfig", "clock_gains"]
-
-
-class V2vConfig(Config):
-    """The radio channel of one street."""
-
-    rate_hz: float = Field(
-        10.0, gt=0, description="messages of a vehicle per second; SAE J2735 BSM, ETSI CAM up to 10 Hz"
-    )
-    latency_s: float = Field(
-        0.05, ge=0, description="shortest delay of a message [s]; 3GPP TS 22.185 requires <= 100 ms"
-    )
-    jitter_s: float = Field(0.03, ge=0, description="mean of the additional exponential delay [s]; congestion")
-    latency_max_s: float = Field(0.5, gt=0, description="messages with a longer delay are dropped [s]")
-    loss: float = Field(0.05, ge=0, le=1, description="loss rate at close range [-]; C-V2X field tests: 90 % at 300 m")
-    range_m: float = Field(300.0, gt=0, description="radio range [m]; urban street, line of sight")
-
+__all__ = ["OCXO_H0", "OCXO_HM2", "TCXO_H0", "TCXO_HM2", "clock_gains"]
 
 TCXO_H0, TCXO_HM2 = 2e-19, 2e-20  # temperature-compensated crystal [s], [Hz]; Brown and Hwang, table 9.3, low quality
 OCXO_H0, OCXO_HM2 = 2e-25, 6e-25  # oven-controlled crystal; the same table

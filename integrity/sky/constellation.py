@@ -3,7 +3,7 @@
 Nominal orbits reproduce number, geometry and motion of the satellites in view. They do not give the position of a named
 satellite at a date: the almanac reader (:mod:`lanebound.integrity.sky.almanac`) does.
 
-Directions of geostationary satellites, which bring the messages of SBAS.
+Geostationary satellites bring the messages of SBAS.
 """
 
 from __future__ import annotations

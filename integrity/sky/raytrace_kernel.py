@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import TWO_PI
+from lanebound.integrity.core.angles_kernel import TWO_PI
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.sky.propagation_kernel import arrival_direction, reflection_coefficients
 

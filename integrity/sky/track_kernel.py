@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import TWO_PI
+from lanebound.integrity.core.angles_kernel import TWO_PI
 
 __all__ = ["sky_at"]
 

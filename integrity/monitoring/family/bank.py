@@ -1,6 +1,6 @@
 """ERAIM: a bank of filters aided by displacements, the one of all codes and one without each code.
 
-The composite level: residuals split into noise and bias by an AR(1) model (S3 eq 16, [124]).
+The composite level follows from residuals split into noise and bias by an AR(1) model (S3 eq 16, [124]).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What levels with memory share, and KIPL: a filter aided by displacements.
+"""Memory and verdicts of monitors, and KIPL: a filter aided by displacements.
 
 The filters work on positions, on East and North apart: ``x^- = x + step``, ``K = P^- / (P^- + sigma^2)``. Errors of
 codes last for seconds to minutes, so that no filter takes them as independent between epochs: deviations of old and
@@ -7,8 +7,6 @@ deviation for every other correlation.
 
 A method has one memory for each vehicle. Recorded epochs come one after another into the memory of one vehicle
 (:func:`rows_of`), epochs of a batch each into that of its own.
-
-What a monitor of the family says about an epoch.
 """
 
 from __future__ import annotations

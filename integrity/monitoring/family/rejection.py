@@ -1,11 +1,10 @@
 """Rejection of codes for cities (S3 V-B1): local tests with or without separability, and robust weights.
 
-RANSAC is in :mod:`.consensus`. Each function takes epochs and returns them with fewer codes or larger deviations.
+Each function takes epochs and returns them with fewer codes or larger deviations.
 
-RANSAC and P-RANSAC: solutions of small subsets, judged by how many of the other codes agree with them (S3 [77]).
-
-A subset has 4 codes of one system, and 1 more for each further system. With N codes of one system up to N - 5 faulty
-ones can be told apart, because the right subset needs one more code that agrees; N - 4 is what may be left out.
+RANSAC and P-RANSAC judge solutions of small subsets by how many of the other codes agree with them (S3 [77]). A subset
+has 4 codes of one system, and 1 more for each further system. With N codes of one system up to N - 5 faulty ones can be
+told apart, because the right subset needs one more code that agrees; N - 4 is what may be left out.
 """
 
 from __future__ import annotations

@@ -6,11 +6,10 @@ each step adds up to one that is seen (GEAS). In the position form the level is 
 carriers' noise, and the largest change that a faulty carrier could hide from the test of the sum. In the range form the
 codes of the anchor are carried on one by one, and the epoch is solved, tested and bounded anew by separation.
 
-CRAIM: RAIM of carriers with fixed integers, which also bears the risk that an integer is wrong (S3 III-A).
-
-The carriers of an epoch are rows as codes are, of centimetres. They are tested by separations and excluded, and the
-level is the root of the sum over their hypotheses at the risk that the fix leaves: ``risk - P(wrong integers)``. There
-is a level only where there is a fix of less risk.
+CRAIM is RAIM of carriers with fixed integers, which also bears the risk that an integer is wrong (S3 III-A). The
+carriers of an epoch are rows as codes are, of centimetres. They are tested by separations and excluded, and the level
+is the root of the sum over their hypotheses at the risk that the fix leaves: ``risk - P(wrong integers)``. There is a
+level only where there is a fix of less risk.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Deviations of codes: as given, by elevation, by C/N0, by both, by fitted classes, and by a map (S3 V-B1).
 
-Declared deviations of undifferenced codes and carriers, from the budget of all code positions.
+Declared deviations of undifferenced codes and carriers follow from the budget of all code positions.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import wrap
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.small_matrix_kernel import cholesky_2
 from lanebound.integrity.monitoring.heading_doubt_kernel import (
     NONE,

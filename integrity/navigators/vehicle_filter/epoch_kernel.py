@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import wrap
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts_kernel import INITIALISING, NONE, TEST_FAILED, alert_step
 from lanebound.integrity.navigators.vehicle_filter.levels_kernel import (

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import wrap
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.navigators.vehicle_filter.position_kernel import (
     LOST,
     REJECTED,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.frames import wrap
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
 
 __all__ = ["MOST", "UNTESTED", "Models", "Vector", "best_nis", "clear", "observe", "vector_of"]

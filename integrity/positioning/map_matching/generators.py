@@ -2,8 +2,6 @@
 
 Each has what misleads matchers: parallel service roads, dual carriageways, close junctions, roundabouts, one-way
 streets, missing connections. Nothing of them is from a real map.
-
-Builds road maps: streets of one or two directions, parallel roads, roundabouts.
 """
 
 from __future__ import annotations

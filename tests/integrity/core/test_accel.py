@@ -368,7 +368,7 @@ def test_kernels_of_versions_that_nobody_has_used_for_a_month_are_removed(only_t
 NOTICE = """
 from lanebound.integrity.core import accel
 accel.NOTICE_S = {threshold_s}
-from lanebound.integrity.core.frames import wrap
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.positioning.heading_kernel import doppler_heading_variance
 print(wrap(7.0), doppler_heading_variance(3.0, 4.0, 1.0, 0.0, 1.0))
 """

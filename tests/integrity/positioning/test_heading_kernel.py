@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from lanebound.integrity.core.frames import wrap
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.positioning.correlation import overbounding_walk
 from lanebound.integrity.positioning.heading_kernel import (
     HEADING,

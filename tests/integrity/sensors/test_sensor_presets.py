@@ -10,12 +10,12 @@ import pytest
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.presets import load_preset, preset_names
 from lanebound.integrity.sensors.campaign import FaultPriors
-from lanebound.integrity.sensors.clock import V2vConfig
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.fault_registry import fault_kinds
 from lanebound.integrity.sensors.gnss import GnssConfig
 from lanebound.integrity.sensors.imu import ImuConfig
 from lanebound.integrity.sensors.odometer import OdometerConfig
+from lanebound.integrity.sensors.v2v import V2vConfig
 
 MODELS: dict[str, type[Config]] = {
     "corrections": CorrectionsConfig,
