@@ -167,10 +167,10 @@ class Consistency:
             self._sample(navigator, truth)
 
     def _sample(self, navigator: FilterNavigator, truth: Truth) -> None:
-        b = navigator.state.belief
-        x = np.einsum("bj,bjk->bk", b.probability, b.x)
-        apart = b.x - x[:, None]
-        p = np.einsum("bj,bjkl->bkl", b.probability, b.p + apart[..., :, None] * apart[..., None, :])
+        probability, models = navigator.state.belief.probability, navigator.state.belief.models
+        x = np.einsum("bj,bjk->bk", probability, models["x"])
+        apart = models["x"] - x[:, None]
+        p = np.einsum("bj,bjkl->bkl", probability, models["p"] + apart[..., :, None] * apart[..., None, :])
         velocity = truth.velocity_enu_mps[:, :2]
         speed, course = np.linalg.norm(velocity, axis=-1), np.arctan2(velocity[:, 0], velocity[:, 1])
         moving = speed > MOVING_MPS

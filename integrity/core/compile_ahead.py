@@ -85,7 +85,7 @@ class Ahead:
         if os.getpid() != self._owner:  # in a forked child, which has no thread to direct the second process
             return
         while (mine := self._next()) is not None:
-            self._kernels[mine].address(self._signature)
+            self._kernels[mine].compile_inner(self._signature)
 
     def _next(self) -> int | None:
         """The next kernel for this process; None when all are compiled."""
@@ -158,7 +158,7 @@ def serve() -> None:
             module, name, signature = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
-        getattr(import_module(module), name).address(signature)
+        getattr(import_module(module), name).compile_inner(signature)
         answers.write(b"done\n")
         answers.flush()
 

@@ -4,9 +4,9 @@ Numba compiles with every function a wrapper that takes Python objects, and anot
 kernels alone. For a NamedTuple of many arrays the wrappers take several times as long to compile as a short kernel, and
 each caller compiles those of its callees again.
 
-A :class:`Kernel` therefore has two forms for each signature: without wrappers, for its callers in compiled code and for
-calls by address, and with the Python wrapper, compiled at the first call from Python. Both contain the same code of the
-kernel and are cached separately.
+A :class:`Kernel` therefore has two forms for each signature: without wrappers, for its callers in compiled code, and
+with the Python wrapper, compiled at the first call from Python. Both contain the same code of the kernel and are cached
+separately. Plain ``numba.njit`` takes half as long again to the first step of an environment.
 
 This needs attributes of Numba that its documentation does not promise (``NEEDED``). A version of Numba without one of
 them compiles plain ``numba.njit`` functions, with all wrappers.
@@ -23,7 +23,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import numba
-import numpy as np
 from numba.core import sigutils, types
 from numba.core.caching import CacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.compiler import Flags
@@ -65,17 +64,12 @@ def _has(owner: Any, name: str) -> bool:
     return hasattr(owner, name) or any(code is not None and name in code.co_names for code in codes)
 
 
-def _begin(result: Any) -> np.uintp:
-    """Where the machine code of a compiled function begins."""
-    return np.uintp(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
-
-
 class Kernel(CPUDispatcher):
     """A compiled function with or without the wrapper for calls from Python, per signature."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
-        self._replaced: list[Any] = []  # results without wrapper, whose machine code is still called
+        self._replaced: list[Any] = []  # results without wrapper; Numba drops none, as callers may refer to them
 
     def enable_caching(self) -> None:
         """Cache on disk, in the directory that Numba's configuration names."""
@@ -96,11 +90,10 @@ class Kernel(CPUDispatcher):
             with _rare_collection():
                 return super().compile(sig)
 
-    def address(self, signature: tuple[Any, ...]) -> np.uintp:
-        """Where the machine code for a signature begins; compiled now if it is not yet."""
+    def compile_inner(self, signature: tuple[Any, ...]) -> None:
+        """Compile for a signature without wrapper, as for a call by another kernel."""
         with self._form(INNER):
             self.compile(signature)
-        return _begin(self.overloads[signature])
 
     @property
     def is_cached(self) -> bool:

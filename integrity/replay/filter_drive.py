@@ -28,12 +28,13 @@ from lanebound.integrity.core.frames import (
     geodetic_from_ecef,
     track_from_enu_matrix,
 )
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.navigator import blank_state, fix_of, run_filters
 from lanebound.integrity.navigators.vehicle_filter.parameters import filter_parameters, level_cases
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import FilterOutputs, MeasuredMotion, PositionFix
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import MEASURED, PositionFix
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings
 from lanebound.integrity.positioning.filters.code_position import CodePosition, CodeSource, locate_by_codes
 from lanebound.integrity.recorded.comma import Comma, read_comma
@@ -254,33 +255,32 @@ def drive_filter(sensors: SensorDrive, config: FilterReplayConfig) -> FilterDriv
     c = config.filter_of(sensors.dt_s)
     parameters, cases, fix = filter_parameters(c), level_cases(c), fix_of(sensors.fix)
     state = blank_state(c, 1, sensors.fix.own_m2.shape[1])
-    found, rows = list[FilterOutputs](), list[Any](fix)
+    found = []
     for k in range(sensors.time_s.size):
         row = slice(k, k + 1)
         if not state.vehicles["aligned"][0] and sensors.course_sigma_rad[k] < WIDEST_RAD:
             give_headings(
                 state, np.zeros(1, np.int64), sensors.course_rad[row].copy(), float(sensors.course_sigma_rad[k])
             )
-        one = PositionFix(*map(np.ascontiguousarray, [values[row] for values in rows]))
+        one = PositionFix(fix.vehicles[row], fix.satellites[row])
         found.append(run_filters(parameters, cases, state, _motion(sensors, row), one))
     return _gathered(c, sensors, found)
 
 
-def _motion(s: SensorDrive, row: slice) -> MeasuredMotion:
-    """The motion of one epoch."""
-    speed, zero = s.speed_mps[row].copy(), np.zeros(1)
-    turn = np.array([[0.0, 0.0, s.turn_rad[row][0]]])
-    return MeasuredMotion(turn, np.zeros((1, 3)), speed, np.abs(speed) * s.dt_s, np.zeros((1, 4)), zero, zero)
+def _motion(s: SensorDrive, row: slice) -> Records:
+    """The motion of one epoch, MEASURED (1,)."""
+    found = np.zeros(1, MEASURED)
+    found["turn"][:, 2], found["speed"] = s.turn_rad[row], s.speed_mps[row]
+    found["distance"] = np.abs(found["speed"]) * s.dt_s
+    return found
 
 
-def _gathered(c: FilterConfig, sensors: SensorDrive, found: Sequence[FilterOutputs]) -> FilterDrive:
-    def rows(name: str) -> NDArray[np.generic]:
-        return np.concatenate([getattr(out, name) for out in found])
-
+def _gathered(c: FilterConfig, sensors: SensorDrive, found: Sequence[tuple[Records, Array]]) -> FilterDrive:
+    out, levels = (np.concatenate(rows) for rows in zip(*found, strict=True))
     values = {
-        "position_m": rows("position"), "heading_rad": rows("heading"), "levels_m": rows("levels"),
-        "trust_m": rows("trust"), "nis": rows("nis")[:, 0], "curved": rows("curved"), "mode": rows("mode"),
-        "alert": rows("alert"), "available": rows("available"), "used": rows("used"), "rejected": rows("rejected"),
+        "position_m": out["position"], "heading_rad": out["heading"], "levels_m": levels, "trust_m": out["trust"],
+        "nis": out["nis"][:, 0], "curved": out["curved"], "mode": out["mode"], "alert": out["alert"],
+        "available": out["available"], "used": out["used"], "rejected": out["rejected"],
     }  # fmt: skip
     return FilterDrive(c, sensors, **values)  # type: ignore[arg-type]
 

@@ -43,10 +43,10 @@ def belief_of(state: FilterState) -> FilterBelief:
     """An independent copy of the state of the kernels."""
     v = state.vehicles
     return FilterBelief(
-        state.x.copy(), state.p.copy(), state.probability.copy(), state.influence.copy(), v["turned"].copy(),
-        v["known"].copy(), v["biased"].copy(), state.gain.copy(), state.own.copy(), state.common.copy(),
-        v["fix_age"].copy(), v["moved"].copy(), v["rejected"].copy(),
-        v["excess"].copy(),
+        state.models["x"].copy(), state.models["p"].copy(), state.probability.copy(), state.influence.copy(),
+        v["turned"].copy(), v["known"].copy(), v["biased"].copy(), state.satellites["gain"].copy(),
+        state.satellites["own"].copy(), v["common"].copy(), v["fix_age"].copy(), v["moved"].copy(),
+        v["rejected"].copy(), v["excess"].copy(),
     )  # fmt: skip
 
 

@@ -59,15 +59,15 @@ def find_levels(
     cases: Any, bounds: Array, state: FilterState, v: int, mean: Array, heading: float, trust: float, levels: Array
 ) -> None:
     """Levels (R, 2) along and across the heading of vehicle v; mean (2,) its position, trust the trust level."""
-    r = state.x.shape[1]
+    r = state.models.shape[1]
     far, sigma = np.zeros(r), np.zeros(r)
     for q in range(2):
         e, n = math.sin(heading), math.cos(heading)
         if q == 1:
             e, n = n, -e
         for j in range(r):
-            x, influence = state.x[v, j], state.influence[v, j]
-            variance = track_variance(state.p[v, j], e, n)
+            x, influence = state.models[v, j].x, state.influence[v, j]
+            variance = track_variance(state.models[v, j].p, e, n)
             for k in range(BIASES, influence.shape[1]):
                 variance += (e * influence[0, k] + n * influence[1, k]) ** 2
             sigma[j] = max(math.sqrt(variance), 1e-12)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,19 +21,20 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     COMPASS,
     GNSS,
     GYRO,
+    MEASURED,
     MOTION,
+    OUT,
+    POSITION,
     SLIPPING,
+    SLOW_ERROR,
     STEERING,
-    VECTORS,
     VEHICLE,
-    FilterOutputs,
     FilterState,
-    MeasuredMotion,
     PositionFix,
 )
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings, place_vehicles
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
-from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import MODEL, STATES
 from lanebound.integrity.sensors.finite import with_finite
 
 __all__ = ["FilterNavigator", "FilterReport", "blank_state", "fix_of", "run_filters"]
@@ -98,80 +98,66 @@ class FilterNavigator(Navigator):
         """The belief after the measurements of one epoch; reads nothing else."""
         m = with_finite(m)
         fix = locate_by_codes(self.config.position.codes, m)
-        out = run_filters(self._parameters, self._cases, self.state.belief, _measured_of(m), fix_of(fix))
-        nis = np.ascontiguousarray(out.last_nis.T)
-        self.report = FilterReport(out.trust, out.level_sbas, out.probability, out.nis, out.used, out.rejected)
+        out, levels = run_filters(self._parameters, self._cases, self.state.belief, _measured_of(m), fix_of(fix))
+        nis, trust, sbas = out["last_nis"].T, out["trust"], out["level_sbas"]
+        probability = self.state.belief.probability.copy()
+        self.report = FilterReport(trust, sbas, probability, out["nis"], out["used"], out["rejected"])
         return replace(
-            Solution.blank(m, self._cases.size), position_en_m=out.position, heading_rad=out.heading,
-            velocity_en_mps=out.velocity, covariance_en_m2=out.covariance, sigma_at_m=out.sigma[:, 0].copy(),
-            sigma_ct_m=out.sigma[:, 1].copy(), pl_at_m=out.levels[:, 0, 0].copy(), pl_ct_m=out.levels[:, 0, 1].copy(),
-            pl_cases_m=out.levels, mode=out.mode, alert=out.alert, available=out.available, reason=out.reason,
-            hdop=fix.hdop, satellites=fix.satellites, excluded=fix.excluded + out.rejected, model_curved=out.curved,
+            Solution.blank(m, self._cases.size), position_en_m=out["position"], heading_rad=out["heading"],
+            velocity_en_mps=out["velocity"], covariance_en_m2=out["covariance"], sigma_at_m=out["sigma"][:, 0],
+            sigma_ct_m=out["sigma"][:, 1], pl_at_m=levels[:, 0, 0], pl_ct_m=levels[:, 0, 1], pl_cases_m=levels,
+            mode=out["mode"], alert=out["alert"], available=out["available"], reason=out["reason"], hdop=fix.hdop,
+            satellites=fix.satellites, excluded=fix.excluded + out["rejected"], model_curved=out["curved"],
             nis_position=nis[GNSS], nis_wheels=nis[MOTION], nis_gyro=nis[GYRO], nis_steering=nis[STEERING],
-            nis_slip=nis[SLIPPING], nis_compass=nis[COMPASS], trust_m=out.trust, hpl_sbas_m=out.level_sbas,
+            nis_slip=nis[SLIPPING], nis_compass=nis[COMPASS], trust_m=trust, hpl_sbas_m=sbas,
         )  # fmt: skip
 
 
 def blank_state(config: FilterConfig, batch: int, satellites: int) -> FilterState:
     """Vehicles that have just been switched on: nothing is known but the spread of sensor errors."""
     models = len(config.chosen_models)
-    p = np.zeros((batch, models, STATES, STATES))
+    filters, vehicles = np.zeros((batch, models), MODEL), np.zeros(batch, VEHICLE)
     for place, sigma in initial_sigmas(config).items():
-        p[..., place, place] = sigma**2
-    vehicles = np.zeros(batch, VEHICLE)
+        filters["p"][..., place, place] = sigma**2
     vehicles["fix_age"] = vehicles["used_age"] = vehicles["moved"] = np.inf
     vehicles["excess"] = 1.0
     vehicles["alert"]["alert"], vehicles["alert"]["reason"] = True, AlertReason.INITIALISING.code
     vehicles["alert"]["onset_s"] = -1.0
-    return FilterState(
-        vehicles, np.zeros((batch, models, STATES)), p, np.full((batch, models), 1.0 / models),
-        np.zeros((batch, models, STATES, BIASES + COMMON + satellites)), np.zeros((batch, satellites, 2)),
-        np.zeros((batch, satellites)), np.zeros((batch, 2, 2)),
-    )  # fmt: skip
+    influence = np.zeros((batch, models, STATES, BIASES + COMMON + satellites))
+    probability, used = np.full((batch, models), 1.0 / models), np.zeros((batch, satellites), SLOW_ERROR)
+    return FilterState(vehicles, filters, probability, influence, used)
 
 
 def run_filters(
-    parameters: Records, cases: Records, state: FilterState, measured: MeasuredMotion, fix: PositionFix
-) -> FilterOutputs:
-    """Advance the state of B vehicles by an epoch; returns outputs in arrays of their own."""
-    batch, models = state.probability.shape
-    out = _blank_outputs(batch, cases.size, models)
-    run_rows(run_epoch, batch, Filters(parameters, cases, state, measured, fix, out), row_us=EPOCH_US)
-    return out
+    parameters: Records, cases: Records, state: FilterState, measured: Records, fix: PositionFix
+) -> tuple[Records, Array]:
+    """Advance the state of B vehicles by an epoch; returns OUT (B,) and levels (B, R, 2) in arrays of their own."""
+    batch = measured.size
+    out, levels = np.zeros(batch, OUT), np.zeros((batch, cases.size, 2))
+    run_rows(run_epoch, batch, Filters(parameters, cases, state, measured, fix, out, levels), row_us=EPOCH_US)
+    return out, levels
 
 
-def _measured_of(m: Measurements) -> MeasuredMotion:
-    """The motion sensors of an epoch."""
-    batch, chassis = m.odometer.speed_mps.shape[0], m.chassis
-    arrays: Any = (
-        m.imu.delta_theta_rad, m.imu.delta_v_mps, m.odometer.speed_mps, m.odometer.distance_m,
-        np.zeros((batch, 4)) if chassis is None else chassis.wheel_mps,
-        np.zeros(batch) if chassis is None else chassis.steering_rad,
-        np.zeros(batch) if m.compass is None else m.compass.heading_rad,
-    )  # fmt: skip
-    return MeasuredMotion(*map(np.ascontiguousarray, arrays))
+def _measured_of(m: Measurements) -> Records:
+    """MEASURED (B,) of an epoch."""
+    found = np.zeros(m.odometer.speed_mps.shape[0], MEASURED)
+    found["turn"], found["delta_v"] = m.imu.delta_theta_rad, m.imu.delta_v_mps
+    found["speed"], found["distance"] = m.odometer.speed_mps, m.odometer.distance_m
+    if m.chassis is not None:
+        found["wheel"], found["steering"] = m.chassis.wheel_mps, m.chassis.steering_rad
+    if m.compass is not None:
+        found["compass"] = m.compass.heading_rad
+    return found
 
 
 def fix_of(fix: CodePosition) -> PositionFix:
     """The position by codes of an epoch."""
-    arrays: Any = (
-        fix.position_m, fix.velocity_mps, fix.fast_m2, fix.slow_m2, fix.velocity_m2, fix.valid, fix.satellites,
-        fix.gain, fix.own_m2, fix.common_m,
-    )  # fmt: skip
-    return PositionFix(*map(np.ascontiguousarray, arrays))
-
-
-def _blank_outputs(batch: int, cases: int, models: int) -> FilterOutputs:
-    """Memory of the outputs of an epoch."""
-    flags, codes = np.zeros((4, batch), np.bool_), np.zeros((2, batch), np.int64)
-    return FilterOutputs(
-        position=np.zeros((batch, 2)), heading=np.zeros(batch), velocity=np.zeros((batch, 2)),
-        covariance=np.zeros((batch, 2, 2)), sigma=np.zeros((batch, 2)), levels=np.zeros((batch, cases, 2)),
-        mode=codes[0], alert=flags[0], available=flags[1], reason=codes[1], trust=np.zeros(batch),
-        level_sbas=np.zeros(batch), nis=np.zeros((batch, VECTORS)),
-        last_nis=np.zeros((batch, VECTORS)), curved=np.zeros(batch), used=flags[2], rejected=flags[3],
-        probability=np.zeros((batch, models)),
-    )  # fmt: skip
+    found = PositionFix(np.zeros(fix.valid.shape, POSITION), np.zeros(fix.own_m2.shape, SLOW_ERROR))
+    vehicles, satellites = found
+    vehicles["position"], vehicles["velocity"], vehicles["valid"] = fix.position_m, fix.velocity_mps, fix.valid
+    vehicles["fast"], vehicles["slow"], vehicles["velocity_m2"] = fix.fast_m2, fix.slow_m2, fix.velocity_m2
+    vehicles["common"], satellites["gain"], satellites["own"] = fix.common_m, fix.gain, fix.own_m2
+    return found
 
 
 register_navigator(FilterConfig, FilterNavigator)

@@ -16,11 +16,11 @@ from lanebound.integrity.monitoring.protection import Operation
 from lanebound.integrity.monitoring.risk import Variant, upper_quantile
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.levels_kernel import CASE
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import MODELS, PARAMETERS
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import PARAMETERS
 from lanebound.integrity.positioning.filters.code_position import CodeSource
 from lanebound.integrity.positioning.filters.odometry_kernel import CAR
 from lanebound.integrity.positioning.filters.vehicle_models import Interaction, Predictor, S
-from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES, WHITE
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import MODELS, STATES, WHITE
 
 __all__ = ["correlation_factor", "filter_parameters", "gate_threshold", "initial_sigmas", "level_cases"]
 

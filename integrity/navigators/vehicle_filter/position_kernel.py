@@ -16,10 +16,9 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     GNSS_EAST_BIAS,
     GNSS_NORTH_BIAS,
     FilterState,
-    MeasuredMotion,
     PositionFix,
 )
-from lanebound.integrity.positioning.filters.correction_kernel import Models, Vector, best_nis, clear, observe
+from lanebound.integrity.positioning.filters.correction_kernel import Models, Vector, best_nis, cleared, observe
 from lanebound.integrity.positioning.filters.vehicle_states_kernel import (
     EAST,
     GNSS_EAST,
@@ -43,18 +42,18 @@ def correct_by_position(
     par: Any,
     state: FilterState,
     v: int,
-    measured: MeasuredMotion,
+    distance: float,
     fix: PositionFix,
     models: Models,
     w: Vector,
     nis: Array,
 ) -> int:
-    """The GNSS position, when it is due; returns the outcome."""
+    """The GNSS position, when it is due, after a distance driven in this epoch; returns the outcome."""
     vehicle = state.vehicles[v]
     vehicle.fix_age += par.dt
     vehicle.used_age += par.dt
-    vehicle.moved += abs(measured.distance[v])
-    if not (fix.valid[v] and vehicle.known):
+    vehicle.moved += abs(distance)
+    if not (fix.vehicles[v].valid and vehicle.known):
         return NONE
     resting = vehicle.moved < par.least_move
     if vehicle.fix_age < (max(par.interval, par.rest_interval) if resting else par.interval) - EPS_S:
@@ -87,25 +86,25 @@ def _position_vector(par: Any, state: FilterState, v: int, fix: PositionFix, w: 
 
     lasting : variance factor of its fast errors
     """
-    heading = 0.0
-    for j in range(state.x.shape[1]):
-        heading += state.probability[v, j] * state.x[v, j, HEADING]
+    heading, found = 0.0, fix.vehicles[v]
+    for j in range(state.models.shape[1]):
+        heading += state.probability[v, j] * state.models[v, j].x[HEADING]
     s, c = math.sin(heading), math.cos(heading)
-    clear(w)
-    w.z[0] = fix.position[v, 0] - (s * par.forward + c * par.right)
-    w.z[1] = fix.position[v, 1] - (c * par.forward - s * par.right)
-    w.h[0, EAST] = w.h[1, NORTH] = w.errors[0, GNSS_EAST_BIAS] = w.errors[1, GNSS_NORTH_BIAS] = 1.0
+    row, errors = cleared(w), w.errors
+    row.z[0] = found.position[0] - (s * par.forward + c * par.right)
+    row.z[1] = found.position[1] - (c * par.forward - s * par.right)
+    row.h[0, EAST] = row.h[1, NORTH] = errors[0, GNSS_EAST_BIAS] = errors[1, GNSS_NORTH_BIAS] = 1.0
     for i in range(2):
         for j in range(2):
-            w.single[i, j] = fix.fast[v, i, j] + (NUMERIC_M2 if i == j else 0.0)
+            row.single[i, j] = found.fast[i, j] + (NUMERIC_M2 if i == j else 0.0)
             if par.sensor_errors:
-                w.r[i, j] = w.single[i, j] * lasting
+                row.r[i, j] = row.single[i, j] * lasting
             else:
-                w.single[i, j] += fix.slow[v, i, j]
-                w.r[i, j] = w.single[i, j]
+                row.single[i, j] += found.slow[i, j]
+                row.r[i, j] = row.single[i, j]
     if par.sensor_errors:
-        w.h[0, GNSS_EAST] = w.h[1, GNSS_NORTH] = 1.0
-        fill_slow_columns(fix, v, w.errors)
+        row.h[0, GNSS_EAST] = row.h[1, GNSS_NORTH] = 1.0
+        fill_slow_columns(fix, v, errors)
 
 
 @jit
@@ -113,11 +112,12 @@ def fill_slow_columns(fix: PositionFix, v: int, errors: Array) -> None:
     """Change of the position E, N per sigma of each slow error into the columns after those of biases [m]."""
     for i in range(2):
         for k in range(COMMON):
-            errors[i, BIASES + k] = fix.common[v, i, k]
-    for k in range(fix.own.shape[1]):
-        sigma = math.sqrt(fix.own[v, k])
+            errors[i, BIASES + k] = fix.vehicles[v].common[i, k]
+    for k in range(fix.satellites.shape[1]):
+        satellite = fix.satellites[v, k]
+        sigma = math.sqrt(satellite.own)
         for i in range(2):
-            errors[i, BIASES + COMMON + k] = fix.gain[v, k, i] * sigma
+            errors[i, BIASES + COMMON + k] = satellite.gain[i] * sigma
 
 
 @jit
@@ -132,24 +132,26 @@ def _grow_noise(par: Any, vehicle: Any, models: Models, w: Vector) -> None:
         return
     since = vehicle.fix_age if vehicle.fix_age < math.inf else par.interval
     kept = math.exp(-since / par.excess_tau)
-    nis = best_nis(models, w, 2, False)
+    row = w.row[0]
+    nis = best_nis(models.filters, row, 2, False)
     if not math.isfinite(nis):
         return
     vehicle.excess = kept * vehicle.excess + (1.0 - kept) * 0.5 * nis
     if vehicle.excess > 1.0:
-        w.r[:] *= vehicle.excess
+        row.r[:] *= vehicle.excess
 
 
 @jit
 def _doubt(par: Any, vehicle: Any, models: Models, w: Vector) -> None:
     """The levels hold the distance to the rejected position for some time: either it or the filter is wrong by that."""
-    for j in range(models.x.shape[0]):
+    row = w.row[0]
+    for j in range(models.filters.shape[0]):
         total = 0.0
         for i in range(2):
             expected = 0.0
             for k in range(STATES):
-                expected += w.h[i, k] * models.x[j, k]
-            total += (w.z[i] - expected) ** 2
+                expected += row.h[i, k] * models.filters[j].x[k]
+            total += (row.z[i] - expected) ** 2
         vehicle.doubt = max(vehicle.doubt, math.sqrt(total))
     vehicle.doubt_left = par.doubt
 
@@ -167,14 +169,13 @@ def take_slow_error(par: Any, state: FilterState, v: int, fix: PositionFix) -> N
         decay = math.exp(-vehicle.fix_age / par.slow_tau)
         _turn_error(state, v, fix, decay)
     else:
-        for j in range(state.p.shape[1]):
+        for j in range(state.models.shape[1]):
             for i in range(2):
                 for k in range(2):
-                    state.p[v, j, GNSS_EAST + i, GNSS_EAST + k] = fix.slow[v, i, k]
+                    state.models[v, j].p[GNSS_EAST + i, GNSS_EAST + k] = fix.vehicles[v].slow[i, k]
     vehicle.biased = True
-    state.gain[v] = fix.gain[v]
-    state.own[v] = fix.own[v]
-    state.common[v] = fix.common[v]
+    vehicle.common[:] = fix.vehicles[v].common
+    state.satellites[v] = fix.satellites[v]
 
 
 @jit
@@ -182,21 +183,23 @@ def _turn_error(state: FilterState, v: int, fix: PositionFix, decay: float) -> N
     """``g <- A g + w`` of the slow error g, with the variance of w that keeps it stationary."""
     c00, c01, c10, c11 = 0.0, 0.0, 0.0, 0.0  # of the errors now and then
     o00, o01, o11 = 0.0, 0.0, 0.0  # of the errors then
-    for k in range(fix.own.shape[1]):
-        was = state.own[v, k]
+    for k in range(fix.satellites.shape[1]):
+        before, now = state.satellites[v, k], fix.satellites[v, k]
+        was = before.own
         if was == 0.0:
             continue  # a new satellite
-        e, n = state.gain[v, k, 0], state.gain[v, k, 1]
+        e, n = before.gain[0], before.gain[1]
         o00 += was * e * e
         o01 += was * e * n
         o11 += was * n * n
-        both = math.sqrt(fix.own[v, k] * was)  # 0 where a satellite is gone
-        c00 += fix.gain[v, k, 0] * both * e
-        c01 += fix.gain[v, k, 0] * both * n
-        c10 += fix.gain[v, k, 1] * both * e
-        c11 += fix.gain[v, k, 1] * both * n
+        both = math.sqrt(now.own * was)  # 0 where a satellite is gone
+        c00 += now.gain[0] * both * e
+        c01 += now.gain[0] * both * n
+        c10 += now.gain[1] * both * e
+        c11 += now.gain[1] * both * n
+    old, new, slow = state.vehicles[v].common, fix.vehicles[v].common, fix.vehicles[v].slow
     for k in range(COMMON):
-        e, n, e_now, n_now = state.common[v, 0, k], state.common[v, 1, k], fix.common[v, 0, k], fix.common[v, 1, k]
+        e, n, e_now, n_now = old[0, k], old[1, k], new[0, k], new[1, k]
         o00 += e * e
         o01 += e * n
         o11 += n * n
@@ -208,11 +211,11 @@ def _turn_error(state: FilterState, v: int, fix: PositionFix, decay: float) -> N
     det = d00 * d11 - o01 * o01
     a00, a01 = decay * (c00 * d11 - c01 * o01) / det, decay * (c01 * d00 - c00 * o01) / det
     a10, a11 = decay * (c10 * d11 - c11 * o01) / det, decay * (c11 * d00 - c10 * o01) / det
-    g00 = fix.slow[v, 0, 0] - (a00 * (a00 * o00 + a01 * o01) + a01 * (a00 * o01 + a01 * o11))
-    g01 = fix.slow[v, 0, 1] - (a00 * (a10 * o00 + a11 * o01) + a01 * (a10 * o01 + a11 * o11))
-    g11 = fix.slow[v, 1, 1] - (a10 * (a10 * o00 + a11 * o01) + a11 * (a10 * o01 + a11 * o11))
-    for j in range(state.x.shape[1]):
-        x, p, influence = state.x[v, j], state.p[v, j], state.influence[v, j]
+    g00 = slow[0, 0] - (a00 * (a00 * o00 + a01 * o01) + a01 * (a00 * o01 + a01 * o11))
+    g01 = slow[0, 1] - (a00 * (a10 * o00 + a11 * o01) + a01 * (a10 * o01 + a11 * o11))
+    g11 = slow[1, 1] - (a10 * (a10 * o00 + a11 * o01) + a11 * (a10 * o01 + a11 * o11))
+    for j in range(state.models.shape[1]):
+        x, p, influence = state.models[v, j].x, state.models[v, j].p, state.influence[v, j]
         x[GNSS_EAST], x[GNSS_NORTH] = (
             a00 * x[GNSS_EAST] + a01 * x[GNSS_NORTH], a10 * x[GNSS_EAST] + a11 * x[GNSS_NORTH],
         )  # fmt: skip

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.monitoring.alerts_kernel import ALERT, ALERT_RULES
 from lanebound.integrity.positioning.filters.odometry_kernel import CAR
-from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES, WHITE
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import MODELS, STATES, WHITE
 
 __all__ = [
     "BIASES",
@@ -21,30 +21,29 @@ __all__ = [
     "GNSS_EAST_BIAS",
     "GNSS_NORTH_BIAS",
     "GYRO",
+    "MEASURED",
     "MOTION",
+    "OUT",
     "PARAMETERS",
+    "POSITION",
     "REST_BIAS",
     "SLIPPING",
+    "SLOW_ERROR",
     "SPEED_BIAS",
     "STEERING",
     "VECTORS",
     "VEHICLE",
-    "FilterOutputs",
     "FilterState",
-    "MeasuredMotion",
     "PositionFix",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 BIASES = 5  # bounded constant errors
 GNSS_EAST_BIAS, GNSS_NORTH_BIAS, COURSE_BIAS, SPEED_BIAS, REST_BIAS = range(BIASES)
 COMMON = 2  # slow errors common to all satellites: ionosphere, troposphere
 VECTORS = 6  # sensor vectors whose NIS is reported: position, wheels, gyro, steering, slip, compass
 GNSS, MOTION, GYRO, STEERING, SLIPPING, COMPASS = range(VECTORS)
-MODELS = 2  # at most
 
 PARAMETERS = record(
     dt="length of an epoch [s]",
@@ -112,6 +111,7 @@ VEHICLE = record(
     aligned=("?", "the heading is given"),
     unconfirmed=("i8", "positions that must agree before there is a level"),
     biased=("?", "the slow error of positions has its prior"),
+    common=("f8", (2, 2), "of the last position used, as of POSITION [m]"),
     excess="mean of NIS / 2 of positions over the memory, rejected ones too; 1 when they are as declared [-]",
     fix_age="of the last position that was due, used or rejected, inf before [s]",
     used_age="of the last position used, inf before [s]",
@@ -126,72 +126,72 @@ VEHICLE = record(
 """What lasts of a vehicle beside its filters."""
 
 
+SLOW_ERROR = record(
+    gain=("f8", (2,), "change of the position East, North per error of the code [-]"),
+    own="variance of its own slow error [m^2]",
+)
+"""What a satellite does to a position by codes; zeros without it."""
+
+POSITION = record(
+    position=("f8", (3,), "of the antenna, East North Up [m]"),
+    velocity=("f8", (2,), "by Doppler, East North [m/s]"),
+    fast=("f8", (2, 2), "covariance of fast errors [m^2]"),
+    slow=("f8", (2, 2), "covariance of slow errors [m^2]"),
+    velocity_m2=("f8", (2, 2), "covariance of the velocity by range rates of 1 m/s [-]"),
+    common=("f8", (2, 2), "East, North by each slow error common to all satellites [m]"),
+    valid=("?", "there is one"),
+)
+"""Position by codes of an epoch (:class:`~lanebound.integrity.positioning.filters.code_position.CodePosition`)."""
+
+MEASURED = record(
+    turn=("f8", (3,), "increments of the gyros [rad]"),
+    delta_v=("f8", (3,), "increments of the accelerometers [m/s]"),
+    speed="odometer [m/s]",
+    distance="odometer [m]",
+    wheel=("f8", (4,), "speeds of the wheels, 0 where not fitted [m/s]"),
+    steering="angle of the front wheel, 0 where not fitted [rad]",
+    compass="azimuth, 0 where not fitted [rad]",
+)
+"""Motion measured in an epoch."""
+
+OUT = record(
+    position=("f8", (2,), "East, North [m]"),
+    heading="[rad]",
+    velocity=("f8", (2,), "East, North [m/s]"),
+    covariance=("f8", (2, 2), "of the position [m^2]"),
+    sigma=("f8", (2,), "along and across the heading [m]"),
+    mode=("i8", "code of Mode"),
+    alert=("?", "an alert is on"),
+    available=("?", "no level exceeds its limit"),
+    reason=("i8", "code of AlertReason"),
+    trust="horizontal trust level, inf without a pose [m]",
+    level_sbas="of the GNSS position alone where SBAS corrects it, else inf [m]",
+    nis=("f8", (VECTORS,), "of the sensor vectors of this epoch, 0 without [-]"),
+    last_nis=("f8", (VECTORS,), "the last of each, 0 before [-]"),
+    curved="probability of the curved model [-]",
+    used=("?", "the position by codes was used"),
+    rejected=("?", "it was rejected"),
+)
+"""What is found of a vehicle in an epoch."""
+
+
 class FilterState(NamedTuple):
     """Filters of B vehicles.
 
-    vehicles (B,) VEHICLE; x (B, r, STATES), p (B, r, STATES, STATES), probability (B, r); influence (B, r, STATES,
-    BIASES + COMMON + S): change of the state per unit of each bounded constant error, and per sigma of each slow error,
-    common ones and those of the S satellites; gain (B, S, 2), own (B, S), common (B, 2, 2) of the last position used,
-    :class:`~lanebound.integrity.positioning.filters.code_position.CodePosition`.
+    vehicles (B,) of VEHICLE; models (B, r) of MODEL, probability (B, r); influence (B, r, STATES, BIASES + COMMON + S):
+    change of the state per unit of each bounded constant error, and per sigma of each slow error, common ones and those
+    of the S satellites; satellites (B, S) of SLOW_ERROR, of the last position used.
     """
 
     vehicles: Records
-    x: Array
-    p: Array
+    models: Records
     probability: Array
     influence: Array
-    gain: Array
-    own: Array
-    common: Array
-
-
-class MeasuredMotion(NamedTuple):
-    """Motion measured in an epoch: turn (B, 3) [rad], delta_v (B, 3) [m/s] increments; speed (B,) [m/s], distance (B,)
-    [m] by the odometer; wheel (B, 4) [m/s], steering (B,) [rad]; compass (B,) azimuth [rad]. Zeros where not fitted."""
-
-    turn: Array
-    delta_v: Array
-    speed: Array
-    distance: Array
-    wheel: Array
-    steering: Array
-    compass: Array
+    satellites: Records
 
 
 class PositionFix(NamedTuple):
-    """Position by codes: position (B, 3) [m], velocity (B, 2) [m/s]; fast, slow, velocity_m2 (B, 2, 2) covariances;
-    valid (B,), satellites (B,); gain (B, S, 2), own (B, S), common (B, 2, 2)."""
+    """Position by codes of an epoch: vehicles (B,) of POSITION, satellites (B, S) of SLOW_ERROR."""
 
-    position: Array
-    velocity: Array
-    fast: Array
-    slow: Array
-    velocity_m2: Array
-    valid: Bools
-    satellites: Ints
-    gain: Array
-    own: Array
-    common: Array
-
-
-class FilterOutputs(NamedTuple):
-    """Of an epoch: fields of a solution and of a report, (B, ...)."""
-
-    position: Array
-    heading: Array
-    velocity: Array
-    covariance: Array
-    sigma: Array
-    levels: Array
-    mode: Ints
-    alert: Bools
-    available: Bools
-    reason: Ints
-    trust: Array
-    level_sbas: Array
-    nis: Array
-    last_nis: Array
-    curved: Array
-    used: Bools
-    rejected: Bools
-    probability: Array
+    vehicles: Records
+    satellites: Records

@@ -29,7 +29,6 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     GNSS_EAST_BIAS,
     GNSS_NORTH_BIAS,
     FilterState,
-    MeasuredMotion,
     PositionFix,
 )
 from lanebound.integrity.positioning.filters.correction_kernel import Vector
@@ -72,17 +71,17 @@ def judge_start(state: FilterState, v: int, outcome: int) -> None:
 
 
 @jit
-def begin(par: Any, state: FilterState, v: int, measured: MeasuredMotion, fix: PositionFix, w: Vector) -> None:
+def begin(par: Any, state: FilterState, v: int, measured: Any, fix: PositionFix, w: Vector) -> None:
     """Begin at a position from codes, with the heading of compass or Doppler velocity."""
-    vehicle = state.vehicles[v]
+    vehicle, found = state.vehicles[v], fix.vehicles[v]
     if not vehicle.aligned:
         if par.compass:
-            give_heading(state, v, measured.compass[v], par.compass_start)
+            give_heading(state, v, measured.compass, par.compass_start)
         else:
-            _try_course(par, state, v, measured, fix)
-    if vehicle.aligned and not vehicle.known and fix.valid[v]:
-        fast = LASTING_START * max(vehicle.excess, 1.0) * fix.fast[v]
-        begin_at(state, v, fix.position[v], fast + fix.slow[v])
+            _try_course(par, state, v, measured, found)
+    if vehicle.aligned and not vehicle.known and found.valid:
+        fast = LASTING_START * max(vehicle.excess, 1.0) * found.fast
+        begin_at(state, v, found.position, fast + found.slow)
         _share_constant_error(state, v)
         vehicle.unconfirmed = CONFIRMATIONS
         if par.sensor_errors:
@@ -91,17 +90,17 @@ def begin(par: Any, state: FilterState, v: int, measured: MeasuredMotion, fix: P
 
 
 @jit
-def _try_course(par: Any, state: FilterState, v: int, measured: MeasuredMotion, fix: PositionFix) -> None:
+def _try_course(par: Any, state: FilterState, v: int, measured: Any, fix: Any) -> None:
     """Count a Doppler velocity in the trial of the first heading."""
-    vehicle, odometer = state.vehicles[v], measured.speed[v]
-    trial, speed = vehicle.trial, math.hypot(fix.velocity[v, 0], fix.velocity[v, 1])
-    trial.moved += abs(measured.distance[v])
-    if not fix.valid[v] or speed <= COURSE_MPS or odometer <= 0.5 * COURSE_MPS:
+    vehicle, odometer = state.vehicles[v], measured.speed
+    trial, speed = vehicle.trial, math.hypot(fix.velocity[0], fix.velocity[1])
+    trial.moved += abs(measured.distance)
+    if not fix.valid or speed <= COURSE_MPS or odometer <= 0.5 * COURSE_MPS:
         return
-    bound = SIGMAS * par.doppler_sigma * math.sqrt(fix.velocity_m2[v, 0, 0] + fix.velocity_m2[v, 1, 1])
+    bound = SIGMAS * par.doppler_sigma * math.sqrt(fix.velocity_m2[0, 0] + fix.velocity_m2[1, 1])
     if bound > WIDEST_RAD * speed:
         return
-    turned = math.atan2(fix.velocity[v, 0], fix.velocity[v, 1]) - vehicle.turned
+    turned = math.atan2(fix.velocity[0], fix.velocity[1]) - vehicle.turned
     apart = wrap(turned - trial.turned)
     if abs(speed - odometer) > bound + par.wheel_bound * odometer:
         trial.count = 0
@@ -117,8 +116,8 @@ def _try_course(par: Any, state: FilterState, v: int, measured: MeasuredMotion, 
 @jit
 def give_heading(state: FilterState, v: int, heading: float, sigma: float) -> None:
     """Set the heading of a vehicle and its 1-sigma; the gyro's integral begins anew, its bias stays."""
-    for j in range(state.x.shape[1]):
-        x, p, influence = state.x[v, j], state.p[v, j], state.influence[v, j]
+    for j in range(state.models.shape[1]):
+        x, p, influence = state.models[v, j].x, state.models[v, j].p, state.influence[v, j]
         for k in range(STATES):
             p[HEADING, k] = p[k, HEADING] = p[GYRO_ANGLE, k] = p[k, GYRO_ANGLE] = 0.0
         x[HEADING], x[GYRO_ANGLE] = heading, -heading
@@ -133,8 +132,8 @@ def give_heading(state: FilterState, v: int, heading: float, sigma: float) -> No
 def begin_at(state: FilterState, v: int, position: Array, covariance: Array) -> None:
     """Set the position (2,) of a vehicle and its covariance (2, 2); slow errors of positions have no prior yet."""
     vehicle = state.vehicles[v]
-    for j in range(state.x.shape[1]):
-        x, p, influence = state.x[v, j], state.p[v, j], state.influence[v, j]
+    for j in range(state.models.shape[1]):
+        x, p, influence = state.models[v, j].x, state.models[v, j].p, state.influence[v, j]
         for place in (EAST, NORTH, GNSS_EAST, GNSS_NORTH):
             x[place] = 0.0
             influence[place] = 0.0
@@ -152,7 +151,7 @@ def begin_at(state: FilterState, v: int, position: Array, covariance: Array) -> 
 @jit
 def _share_constant_error(state: FilterState, v: int) -> None:
     """The position that a vehicle begins with has the constant error of GNSS positions; a given pose has none."""
-    for j in range(state.x.shape[1]):
+    for j in range(state.models.shape[1]):
         state.influence[v, j, EAST, GNSS_EAST_BIAS] = state.influence[v, j, NORTH, GNSS_NORTH_BIAS] = 1.0
 
 
@@ -162,11 +161,11 @@ def _share_slow_error(par: Any, state: FilterState, v: int, fix: PositionFix, w:
     take_slow_error(par, state, v, fix)
     w.errors[:] = 0.0
     fill_slow_columns(fix, v, w.errors)
-    for j in range(state.x.shape[1]):
-        p, influence = state.p[v, j], state.influence[v, j]
+    for j in range(state.models.shape[1]):
+        p, influence = state.models[v, j].p, state.influence[v, j]
         for i in range(2):
             for k in range(2):
-                p[i, GNSS_EAST + k] = p[GNSS_EAST + i, k] = -fix.slow[v, i, k]
+                p[i, GNSS_EAST + k] = p[GNSS_EAST + i, k] = -fix.vehicles[v].slow[i, k]
             influence[i, BIASES:] = w.errors[i, BIASES:]
 
 

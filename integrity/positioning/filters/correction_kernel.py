@@ -8,16 +8,17 @@ constant errors and of slow errors, the influence, advances: ``I <- I + W (B - H
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import wrap
+from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
 
-__all__ = ["MOST", "UNTESTED", "Models", "Vector", "best_nis", "clear", "observe", "vector_of"]
+__all__ = ["MOST", "UNTESTED", "VECTOR", "Models", "Vector", "best_nis", "cleared", "observe", "vector_of"]
 
 Array = NDArray[np.float64]
 MOST = 3  # components of a sensor vector
@@ -26,79 +27,76 @@ LOG_2PI = math.log(2.0 * math.pi)
 
 
 class Models(NamedTuple):
-    """Filters of one vehicle: x (r, STATES), p (r, STATES, STATES), influence (r, STATES, J), log likelihood (r,)."""
+    """Filters of one vehicle: filters (r,) of MODEL, influence (r, STATES, J)."""
 
-    x: Array
-    p: Array
+    filters: Records
     influence: Array
-    likelihood: Array
+
+
+VECTOR = record(
+    z=("f8", (MOST,), "the components"),
+    h=("f8", (MOST, STATES), "their derivatives by the states"),
+    r=("f8", (MOST, MOST), "covariance with which the state is corrected"),
+    single=("f8", (MOST, MOST), "that of one vector by itself, with which it is tested: smaller, where errors last"),
+    residual=("f8", (MOST,), "nu"),
+    ph=("f8", (STATES, MOST), "P H'"),
+    gain=("f8", (STATES, MOST), "W"),
+    s=("f8", (MOST, MOST), "S"),
+    inverse=("f8", (MOST, MOST), "its inverse"),
+)
+"""A sensor vector of up to MOST components, and memory for its correction."""
 
 
 class Vector(NamedTuple):
-    """A sensor vector of up to MOST components, and memory for its correction.
+    """row (1,) of VECTOR; errors (MOST, J) change per unit of bounded and of slow errors, brought its memory."""
 
-    z (MOST,), h (MOST, STATES); r (MOST, MOST) covariance with which the state is corrected, and ``single`` of one
-    vector by itself, with which it is tested: smaller, where errors last and so bring less than they seem to; errors
-    (MOST, J): change per unit of the bounded and of the slow errors. The rest is memory.
-    """
-
-    z: Array
-    h: Array
-    r: Array
-    single: Array
+    row: Records
     errors: Array
-    residual: Array
-    ph: Array
-    gain: Array
-    s: Array
-    inverse: Array
     brought: Array
 
 
 @jit
 def vector_of(errors: int) -> Vector:
     """A sensor vector of zeros with J kinds of errors."""
-    square = (MOST, MOST)
-    return Vector(
-        np.zeros(MOST), np.zeros((MOST, STATES)), np.zeros(square), np.zeros(square), np.zeros((MOST, errors)),
-        np.zeros(MOST), np.zeros((STATES, MOST)), np.zeros((STATES, MOST)), np.zeros(square), np.zeros(square),
-        np.zeros((MOST, errors)),
-    )  # fmt: skip
+    return Vector(np.zeros(1, VECTOR), np.zeros((MOST, errors)), np.zeros((MOST, errors)))
 
 
 @jit
-def clear(v: Vector) -> None:
-    """Zero what describes a vector."""
+def cleared(w: Vector) -> Any:
+    """The record of a vector, with zeros in all that describes it."""
+    v = w.row[0]
     v.h[:] = 0.0
     v.r[:] = 0.0
     v.single[:] = 0.0
-    v.errors[:] = 0.0
+    w.errors[:] = 0.0
+    return v
 
 
 @jit
-def observe(models: Models, v: Vector, size: int, threshold: float, angular: bool) -> tuple[float, bool]:
+def observe(models: Models, w: Vector, size: int, threshold: float, angular: bool) -> tuple[float, bool]:
     """Correct all models by a vector of ``size`` components, and add its log likelihood; NIS and whether it was used.
 
     A vector is rejected when it fails the gate of every model, so that the likelihoods of the models are of the same
     measurements; the NIS is that of the model that fits best. What is not finite is rejected, tested or not.
     """
-    best = best_nis(models, v, size, angular)
+    v, filters = w.row[0], models.filters
+    best = best_nis(filters, v, size, angular)
     if not (math.isfinite(best) and best <= threshold):
         return best, False
-    for j in range(models.x.shape[0]):
-        log_det = _innovate(models, v, j, size, v.r, angular)
-        models.likelihood[j] -= 0.5 * (_nis(v, size) + size * LOG_2PI + log_det)
-        _correct(models, v, j, size)
-        _influence(models, v, j, size)
+    for j in range(filters.shape[0]):
+        log_det = _innovate(filters[j], v, size, v.r, angular)
+        filters[j].likelihood -= 0.5 * (_nis(v, size) + size * LOG_2PI + log_det)
+        _correct(filters[j], v, size)
+        _influence(models.influence[j], w, size)
     return best, True
 
 
 @jit
-def best_nis(models: Models, v: Vector, size: int, angular: bool) -> float:
+def best_nis(filters: Records, v: Any, size: int, angular: bool) -> float:
     """NIS of a vector by itself, of the model that fits best."""
     best = math.inf
-    for j in range(models.x.shape[0]):
-        _innovate(models, v, j, size, v.single, angular)
+    for j in range(filters.shape[0]):
+        _innovate(filters[j], v, size, v.single, angular)
         nis = _nis(v, size)
         if not math.isfinite(nis):
             return math.inf
@@ -107,9 +105,9 @@ def best_nis(models: Models, v: Vector, size: int, angular: bool) -> float:
 
 
 @jit
-def _innovate(models: Models, v: Vector, j: int, size: int, noise: Array, angular: bool) -> float:
-    """Residual, ``P H'``, S and its inverse of model j; returns ``log det S``."""
-    x, p = models.x[j], models.p[j]
+def _innovate(model: Any, v: Any, size: int, noise: Array, angular: bool) -> float:
+    """Residual, ``P H'``, S and its inverse of a model; returns ``log det S``."""
+    x, p = model.x, model.p
     for a in range(size):
         expected = 0.0
         for k in range(STATES):
@@ -159,7 +157,7 @@ def _invert(s: Array, inverse: Array, size: int) -> float:
 
 
 @jit
-def _nis(v: Vector, size: int) -> float:
+def _nis(v: Any, size: int) -> float:
     total = 0.0
     for a in range(size):
         for b in range(size):
@@ -168,9 +166,9 @@ def _nis(v: Vector, size: int) -> float:
 
 
 @jit
-def _correct(models: Models, v: Vector, j: int, size: int) -> None:
-    """``x + W nu`` and ``P - W (P H')'`` of model j."""
-    x, p = models.x[j], models.p[j]
+def _correct(model: Any, v: Any, size: int) -> None:
+    """``x + W nu`` and ``P - W (P H')'`` of a model."""
+    x, p = model.x, model.p
     for k in range(STATES):
         for a in range(size):
             total = 0.0
@@ -188,12 +186,12 @@ def _correct(models: Models, v: Vector, j: int, size: int) -> None:
 
 
 @jit
-def _influence(models: Models, v: Vector, j: int, size: int) -> None:
-    """``I <- I + W (B - H I)`` of model j."""
-    influence = models.influence[j]
+def _influence(influence: Array, w: Vector, size: int) -> None:
+    """``I <- I + W (B - H I)`` of a model."""
+    v = w.row[0]
     for a in range(size):
-        brought = v.brought[a]
-        brought[:] = v.errors[a]
+        brought = w.brought[a]
+        brought[:] = w.errors[a]
         for k in range(STATES):
             h = v.h[a, k]
             if h != 0.0:
@@ -201,7 +199,7 @@ def _influence(models: Models, v: Vector, j: int, size: int) -> None:
                     brought[e] -= h * influence[k, e]
     for k in range(STATES):
         for a in range(size):
-            gain, brought = v.gain[k, a], v.brought[a]
+            gain, brought = v.gain[k, a], w.brought[a]
             if gain != 0.0:
                 for e in range(brought.shape[0]):
                     influence[k, e] += gain * brought[e]

@@ -1,7 +1,7 @@
 """Interacting multiple models of one vehicle: mixed by the probabilities of the models (S4 section II-G).
 
-Axes: states (r, n), covariances (r, n, n), probabilities (r,) of r models; the transition matrix (r, r) has the model
-before in its rows and the model after in its columns (S4 eq 9).
+``models`` (r,) of MODEL, probabilities (r,); the transition matrix (r, r) has the model before in its rows and the
+model after in its columns (S4 eq 9).
 
 S4's text says how the predictions are combined (with the probabilities after interaction), and neither from which state
 each filter predicts nor how the output is formed. Both readings are here:
@@ -15,67 +15,64 @@ each filter predicts nor how the output is formed. Both readings are here:
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records
 
-__all__ = ["combine", "mix", "mixing_weights", "posterior"]
+__all__ = ["combine", "mixing_weights", "posterior"]
 
 Array = NDArray[np.float64]
 LEAST = 1e-12  # probability below which no model falls, so that it can return
 
 
 @jit
-def mixing_weights(probability: Array, transition: Array, standard: bool, weight: Array, predicted: Array) -> None:
-    """``C_j = sum_i P_ij mu_i`` into predicted (r,), and the weight of model i in the start of model j into (r, r).
+def mixing_weights(models: Records, probability: Array, transition: Array, standard: bool) -> None:
+    """``predicted``, ``C_j = sum_i P_ij mu_i``, and the weights of all models in the start of model j.
 
     A model that none leads to has no weights of its own: it begins with the output of the epoch before.
     """
     r = probability.shape[0]
     for j in range(r):
-        predicted[j] = 0.0
+        model = models[j]
+        model.predicted = 0.0
         for i in range(r):
-            weight[i, j] = transition[i, j] * probability[i]
-            predicted[j] += weight[i, j]
+            model.weight[i] = transition[i, j] * probability[i]
+            model.predicted += model.weight[i]
         for i in range(r):
-            weight[i, j] = weight[i, j] / predicted[j] if standard and predicted[j] > 0.0 else probability[i]
+            own = standard and model.predicted > 0.0
+            model.weight[i] = model.weight[i] / model.predicted if own else probability[i]
 
 
 @jit
-def mix(x: Array, p: Array, weight: Array, x_out: Array, p_out: Array) -> None:
-    """The state and covariance that each model begins with, by weights (r, r)."""
-    r, n = x.shape
-    for j in range(r):
-        combine(x, p, weight[:, j], x_out[j], p_out[j], n)
-
-
-@jit
-def combine(x: Array, p: Array, weight: Array, mean: Array, covariance: Array, size: int) -> None:
+def combine(models: Records, weight: Array, size: int, out: Any) -> None:
     """The moments of the mixture with weights (r,): the first ``size`` states, and their covariance."""
-    r = x.shape[0]
+    x, p = out.x, out.p
     for k in range(size):
         total = 0.0
-        for i in range(r):
-            total += weight[i] * x[i, k]
-        mean[k] = total
+        for i in range(models.shape[0]):
+            total += weight[i] * models[i].x[k]
+        x[k] = total
     for k in range(size):
         for m in range(k + 1):
             total = 0.0
-            for i in range(r):
-                total += weight[i] * (p[i, k, m] + (x[i, k] - mean[k]) * (x[i, m] - mean[m]))
-            covariance[k, m] = covariance[m, k] = total
+            for i in range(models.shape[0]):
+                model = models[i]
+                total += weight[i] * (model.p[k, m] + (model.x[k] - x[k]) * (model.x[m] - x[m]))
+            p[k, m] = p[m, k] = total
 
 
 @jit
-def posterior(predicted: Array, log_likelihood: Array, probability: Array) -> None:
+def posterior(models: Records, probability: Array) -> None:
     """``mu_j = Lambda_j C_j / C`` into probability (r,)."""
-    r, most, total = predicted.shape[0], -math.inf, 0.0
+    r, most, total = probability.shape[0], -math.inf, 0.0
     for j in range(r):
-        most = max(most, log_likelihood[j])
+        most = max(most, models[j].likelihood)
     for j in range(r):
-        probability[j] = math.exp(log_likelihood[j] - most) * predicted[j]
+        probability[j] = math.exp(models[j].likelihood - most) * models[j].predicted
         total += probability[j]
     left = 0.0
     for j in range(r):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import record
 from lanebound.integrity.positioning.filters.motion_kernel import (
     Slopes,
     fill_noise,
@@ -18,7 +19,7 @@ from lanebound.integrity.positioning.filters.motion_kernel import (
 )
 from lanebound.integrity.positioning.filters.vehicle_states_kernel import SLIP_RATE, STATES, WHITE
 
-__all__ = ["PredictionWork", "predict_extended", "predict_unscented", "prediction_work"]
+__all__ = ["PREDICTION", "predict_extended", "predict_unscented"]
 
 Array = NDArray[np.float64]
 POINTS = 1 + 2 * (STATES + WHITE)
@@ -29,31 +30,22 @@ RELATIVE = 1e-12  # likewise, of the variance of each state
 MOVING = SLIP_RATE + 1  # states that noise of the motion reaches come first
 
 
-class PredictionWork(NamedTuple):
-    """Noise (STATES, WHITE), root of a covariance (STATES, STATES), sigma points (POINTS, STATES), mean (STATES,)."""
-
-    noise: Array
-    root: Array
-    points: Array
-    mean: Array
-
-
-@jit
-def prediction_work() -> PredictionWork:
-    """Memory of a prediction."""
-    return PredictionWork(
-        np.zeros((STATES, WHITE)), np.zeros((STATES, STATES)), np.zeros((POINTS, STATES)), np.zeros(STATES)
-    )
+PREDICTION = record(
+    noise=("f8", (STATES, WHITE), "the motion's noise, ``G sqrt(Q)``"),
+    root=("f8", (STATES, STATES), "Cholesky factor of the covariance"),
+    points=("f8", (POINTS, STATES), "sigma points"),
+    mean=("f8", (STATES,), "their mean"),
+)
+"""Memory of a prediction."""
 
 
 @jit
-def predict_extended(
-    x: Array, p: Array, f: Slopes, acceleration: float, curved: bool, sigma: Array, errors: Array, w: PredictionWork
-) -> None:
+def predict_extended(model: Any, f: Slopes, curved: bool, sigma: Array, errors: Array, w: Any) -> None:
     """``x <- f(x)``, ``P <- F P F' + G Q G' + errors``.
 
     sigma (WHITE,) noise of the motion over a scan; errors (STATES,) variance that sensor errors gain.
     """
+    x, p = model.x, model.p
     fill_noise(x, f.dt, curved, sigma, w.noise)
     move_rows(f, p)
     move_columns(f, p)
@@ -67,52 +59,51 @@ def predict_extended(
         p[i, i] += errors[i]
         for j in range(i):
             p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
-    move_state(x, f.dt, f.turn, acceleration, f.driven > 0.0)
+    move_state(x, f.dt, f.turn, model.acceleration, f.driven > 0.0)
 
 
 @jit
-def predict_unscented(
-    x: Array, p: Array, f: Slopes, acceleration: float, curved: bool, sigma: Array, errors: Array, w: PredictionWork
-) -> None:
+def predict_unscented(model: Any, f: Slopes, curved: bool, sigma: Array, errors: Array, w: Any) -> None:
     """The unscented prediction with the noise as part of the state (S4 section II-E).
 
     The noises of the motion extend the state. Errors of sensors change linearly, so their noise is added afterwards. A
     straight model has no slip rate: the jitter of the decomposition must not create one.
     """
+    x, p, points, mean = model.x, model.p, w.points, w.mean
     fill_noise(x, f.dt, curved, sigma, w.noise)
     _decompose(p, w.root)
     spread, driven = math.sqrt(SCALE), f.driven > 0.0
     for n in range(STATES):
-        up, down = w.points[1 + n], w.points[1 + STATES + n]
+        up, down = points[1 + n], points[1 + STATES + n]
         for i in range(STATES):
             up[i], down[i] = x[i] + w.root[i, n], x[i] - w.root[i, n]
-        move_state(up, f.dt, f.turn, acceleration, driven)
-        move_state(down, f.dt, f.turn, acceleration, driven)
-    move_state(x, f.dt, f.turn, acceleration, driven)
-    w.points[0] = x
+        move_state(up, f.dt, f.turn, model.acceleration, driven)
+        move_state(down, f.dt, f.turn, model.acceleration, driven)
+    move_state(x, f.dt, f.turn, model.acceleration, driven)
+    points[0] = x
     for n in range(WHITE):
-        up, down = w.points[1 + 2 * STATES + n], w.points[1 + 2 * STATES + WHITE + n]
+        up, down = points[1 + 2 * STATES + n], points[1 + 2 * STATES + WHITE + n]
         for i in range(STATES):
             by = spread * w.noise[i, n]
             up[i], down[i] = x[i] + by, x[i] - by
     if not curved:
-        w.points[:, SLIP_RATE] = 0.0
-    w.mean[:] = CENTRE_WEIGHT * w.points[0]
+        points[:, SLIP_RATE] = 0.0
+    mean[:] = CENTRE_WEIGHT * points[0]
     for n in range(1, POINTS):
         for i in range(STATES):
-            w.mean[i] += POINT_WEIGHT * w.points[n, i]
+            mean[i] += POINT_WEIGHT * points[n, i]
     p[:] = 0.0
     for n in range(POINTS):
         weight = CENTRE_COVARIANCE_WEIGHT if n == 0 else POINT_WEIGHT
         for i in range(STATES):
-            apart = weight * (w.points[n, i] - w.mean[i])
+            apart = weight * (points[n, i] - mean[i])
             for j in range(i + 1):
-                p[i, j] += apart * (w.points[n, j] - w.mean[j])
+                p[i, j] += apart * (points[n, j] - mean[j])
     for i in range(STATES):
         p[i, i] += errors[i]
         for j in range(i):
             p[j, i] = p[i, j]
-        x[i] = w.mean[i]
+        x[i] = mean[i]
 
 
 @jit

@@ -82,7 +82,7 @@ def test_this_process_loads_what_the_second_one_has_compiled(kernels):
     ahead._direct()
     ahead.finish()
     for kernel in kernels:
-        kernel.address(SIGNATURE)
+        kernel.compile_inner(SIGNATURE)
     assert _misses(kernels) == [0, 0, 0]
     assert not Ahead.helps(kernels), "all are cached"
     assert _result(kernels) == 9.0
@@ -94,7 +94,7 @@ def test_both_share_the_kernels(kernels):
     assert ahead._waiting == []
     assert ahead._theirs is None
     for kernel in kernels:
-        kernel.address(SIGNATURE)
+        kernel.compile_inner(SIGNATURE)
         assert SIGNATURE in kernel.overloads
 
 
@@ -145,7 +145,7 @@ def test_a_second_process_that_hangs_is_ended_and_this_one_compiles_all(kernels,
     assert ahead._process.returncode is not None, "the process has ended"
     assert "no kernel in 0.5 s" in caplog.text
     for kernel in kernels:
-        kernel.address(SIGNATURE)
+        kernel.compile_inner(SIGNATURE)
     assert _misses(kernels) == [1, 1, 1]
     assert _result(kernels) == 9.0
 

@@ -85,14 +85,12 @@ def test_two_processes_that_save_at_once_write_different_files(fresh, monkeypatc
     assert (again.plus(1.5), again.plus(2)) == (2.5, 3), "the code of a signature is that of another"
 
 
-def test_the_machine_code_begins_at_the_address(fresh):
+def test_a_kernel_is_compiled_for_kernels_before_any_calls_it(fresh):
     plus = fresh().plus
-    address = plus.address(F8)
-    assert address != 0
-    assert plus.address(F8) == address
+    plus.compile_inner(F8)
     assert not kd._is_outer(plus.overloads[F8])
-    plus(1.5)
-    assert plus._replaced, "code that may still be called by its address must stay"
+    assert fresh().twice(1.5) == 5.0
+    assert plus(1.5) == 2.5
 
 
 def test_errors_and_pickles_are_those_of_numba(fresh):

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.navigators.vehicle_filter.navigator import blank_state, run_filters
 from lanebound.integrity.navigators.vehicle_filter.parameters import filter_parameters, level_cases
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import MeasuredMotion, PositionFix
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import MEASURED, POSITION, SLOW_ERROR, PositionFix
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings, place_vehicles
 from lanebound.integrity.positioning.filters.vehicle_models import S
 
@@ -71,22 +71,21 @@ class World:
         # the wheels show v (1 - s) and noise, as the linear observation says; the odometer half an epoch before
         shown = (self.speed + m.speed_sigma_mps * n()) / (1.0 - self.scale) - 0.5 * DT * push
         compass = self.heading + self.deviation + np.deg2rad(m.compass_sigma_deg) * n()
-        zero = np.zeros(CARS)
-        turn, delta_v = np.column_stack([zero, zero, gyro]), DT * np.column_stack([push, zero, zero])
-        motion = MeasuredMotion(turn, delta_v, shown, shown * DT, np.zeros((CARS, 4)), zero, compass)
+        motion = np.zeros(CARS, MEASURED)
+        motion["turn"][:, 2], motion["delta_v"][:, 0] = gyro, DT * push
+        motion["speed"], motion["distance"], motion["compass"] = shown, shown * DT, compass
         return motion, self.fix(k % 10 == 9)
 
     def fix(self, due):
         """A position each second, with a slow error that is a Markov process."""
-        eye = np.broadcast_to(np.eye(2), (CARS, 2, 2))
-        position = np.zeros((CARS, 3))
+        found, eye = np.zeros(CARS, POSITION), np.eye(2)
         if due:
-            position[:, :2] = self.place + self.slow + FAST_M * self.normal(2)
+            found["position"][:, :2] = self.place + self.slow + FAST_M * self.normal(2)
             decay = np.exp(-1.0 / SLOW_S)
             self.slow = decay * self.slow + np.sqrt(1.0 - decay**2) * SLOW_M * self.normal(2)
-        return PositionFix(position, np.zeros((CARS, 2)), FAST_M**2 * eye, SLOW_M**2 * eye, eye.copy(),
-                           np.full(CARS, due), np.zeros(CARS, np.int64), np.zeros((CARS, 1, 2)), np.zeros((CARS, 1)),
-                           SLOW_M * eye)  # fmt: skip
+        found["fast"], found["slow"], found["velocity_m2"] = FAST_M**2 * eye, SLOW_M**2 * eye, eye
+        found["valid"], found["common"] = due, SLOW_M * eye
+        return PositionFix(found, np.zeros((CARS, 1), SLOW_ERROR))
 
     def errors(self, x):
         """Estimate less truth of what both know, (CARS, 9)."""
@@ -106,16 +105,17 @@ def test_nees_and_nis_are_in_their_bands(kind):
     place_vehicles(state, rows, np.zeros((CARS, 2)), 4.0)
     give_headings(state, rows, np.zeros(CARS), 0.03)
     for k, sigma in ((S.YAW_RATE, 0.05), (S.SPEED, 1e-6), (S.SLIP, 1e-6), (S.SLIP_RATE, 0.0)):
-        state.x[..., k] = 12.0 if k == S.SPEED else 0.0
-        state.p[..., k, :] = state.p[..., :, k] = 0.0
-        state.p[..., k, k] = sigma**2
+        p = state.models["p"]
+        state.models["x"][..., k] = 12.0 if k == S.SPEED else 0.0
+        p[..., k, :] = p[..., :, k] = 0.0
+        p[..., k, k] = sigma**2
     nis = np.zeros((2, CARS))
     for k in range(EPOCHS):
-        out = run_filters(par, cases, state, *world.step(k))
-        nis += [out.nis[:, 0] / 2.0, out.nis[:, 1]]
+        out, _ = run_filters(par, cases, state, *world.step(k))
+        nis += [out["nis"][:, 0] / 2.0, out["nis"][:, 1]]
         if k in (9, 99, EPOCHS - 1):
-            x = np.einsum("bj,bjk->bk", state.probability, state.x)
-            error, p = world.errors(x), state.p[:, 0][:, KNOWN][:, :, KNOWN]
+            x = np.einsum("bj,bjk->bk", state.probability, state.models["x"])
+            error, p = world.errors(x), state.models["p"][:, 0][:, KNOWN][:, :, KNOWN]
             single = np.square(error).mean(0) / np.einsum("bii->i", p) * CARS
             low, high = band()
             assert ((low < single) & (single < high)).all(), (k, single)

@@ -8,7 +8,7 @@ from scipy.stats import chi2, norm
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.navigators.vehicle_filter.navigator import blank_state, run_filters
 from lanebound.integrity.navigators.vehicle_filter.parameters import correlation_factor, filter_parameters, level_cases
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import MeasuredMotion, PositionFix
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import MEASURED, POSITION, SLOW_ERROR, PositionFix
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings, place_vehicles
 from lanebound.integrity.positioning.filters.vehicle_models import S
 from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES
@@ -37,7 +37,7 @@ def test_the_default_figures_are_these():
         "gate_compass": 10.8275662, "gate_motion": 32.8412534, "misfit_alert": 9.0,
     }.items():  # fmt: skip
         assert par[name] == pytest.approx(value, rel=1e-7), name
-    p = blank_state(config(), 1, 3).p[0, 0]
+    p = blank_state(config(), 1, 3).models["p"][0, 0]
     sigma = {3: 0.2, 4: 3.0, 5: 0.0349065850, 6: 0.00174532925, 7: 0.05, 8: 0.007, 9: 0.0038, 11: 0.003, 12: 0.08,
              13: 0.0209439510}  # fmt: skip
     np.testing.assert_allclose(np.sqrt(np.diag(p)), [sigma.get(k, 0.0) for k in range(STATES)], rtol=1e-7)
@@ -55,7 +55,7 @@ def test_the_figures_equal_the_reference(change):
         assert par[f"{name}_factor"] == pytest.approx(expected, rel=1e-9)
     for name, share, size in (("gnss", c.gate.gnss, 2), ("compass", c.gate.gnss, 1), ("motion", c.gate.motion, 1)):
         assert par[f"gate_{name}"] == pytest.approx(plain.threshold(share, size), rel=1e-9)
-    p, expected = blank_state(c, 2, 3).p, np.zeros(STATES)
+    p, expected = blank_state(c, 2, 3).models["p"], np.zeros(STATES)
     for place, sigma in plain.priors_of(c).items():
         expected[place] = sigma**2
     np.testing.assert_allclose(p, np.broadcast_to(np.diag(expected), p.shape), rtol=1e-12)
@@ -82,20 +82,18 @@ def test_white_noise_of_that_factor_bounds_sums_of_a_lasting_error(tau_steps):
 
 def moved(speed_mps, dt, batch):
     """Sensors of a car that drives North."""
-    zero = np.zeros(batch)
-    return MeasuredMotion(np.zeros((batch, 3)), np.zeros((batch, 3)), zero + speed_mps, zero + speed_mps * dt,
-                          np.zeros((batch, 4)), zero, zero)  # fmt: skip
+    found = np.zeros(batch, MEASURED)
+    found["speed"], found["distance"] = speed_mps, speed_mps * dt
+    return found
 
 
 def no_fix(batch, place=None, fast_m2=1e-6):
     """No position, or one (B, 2) without slow errors."""
-    eye, none = np.broadcast_to(np.eye(2), (batch, 2, 2)), np.zeros((batch, 2, 2))
-    position = np.zeros((batch, 3))
+    found = np.zeros(batch, POSITION)
+    found["fast"], found["velocity_m2"] = fast_m2 * np.eye(2), np.eye(2)
     if place is not None:
-        position[:, :2] = place
-    return PositionFix(position, np.zeros((batch, 2)), fast_m2 * eye, none.copy(), eye.copy(),
-                       np.full(batch, place is not None), np.zeros(batch, np.int64), np.zeros((batch, 1, 2)),
-                       np.zeros((batch, 1)), none.copy())  # fmt: skip
+        found["position"][:, :2], found["valid"] = place, True
+    return PositionFix(found, np.zeros((batch, 1), SLOW_ERROR))
 
 
 QUIET = {
@@ -128,8 +126,8 @@ def levels_after(c, speed_mps, seconds, place=lambda k: None):
     place_vehicles(state, np.zeros(1, np.int64), np.zeros((1, 2)), 1e-8)
     give_headings(state, np.zeros(1, np.int64), np.zeros(1), 1e-5)
     for k in range(round(seconds / c.dt_s)):
-        out = run_filters(par, cases, state, moved(speed_mps, c.dt_s, 1), no_fix(1, place(k)))
-    return out.position[0], out.levels[0, 1]
+        out, levels = run_filters(par, cases, state, moved(speed_mps, c.dt_s, 1), no_fix(1, place(k)))
+    return out["position"][0], levels[0, 1]
 
 
 def test_a_constant_error_of_speed_is_within_the_level():

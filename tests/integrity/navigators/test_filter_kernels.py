@@ -52,7 +52,7 @@ def test_an_epoch_equals_the_reference(kind):
         np.testing.assert_allclose(state.probability, b.probability, rtol=1e-8)
         scale = np.sqrt(np.einsum("brii->bri", b.p)) + 1e-12
         np.testing.assert_allclose(
-            state.p / (scale[..., None] * scale[..., None, :]),
+            state.models["p"] / (scale[..., None] * scale[..., None, :]),
             b.p / (scale[..., None] * scale[..., None, :]),
             atol=1e-8,
         )

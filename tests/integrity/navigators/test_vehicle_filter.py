@@ -21,6 +21,7 @@ from lanebound.integrity.navigators.vehicle_filter.navigator import FilterNaviga
 from lanebound.integrity.positioning.filters.code_position import locate_by_codes
 from lanebound.integrity.positioning.filters.mixing_kernel import mixing_weights
 from lanebound.integrity.positioning.filters.odometry_kernel import CAR, from_front_wheel, rolling_slip
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import MODEL
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.road import Road
 
@@ -144,13 +145,13 @@ def test_rows_are_independent_and_the_state_resumes():
 def test_a_vehicle_is_placed_without_touching_others():
     navigator, truths = drives([1, 2])
     errors(navigator, truths, 20)
-    before = navigator.state.belief.x[0].copy()
-    bias = navigator.state.belief.p[1, 0, 8, 8]
+    before = navigator.state.belief.models["x"][0].copy()
+    bias = navigator.state.belief.models["p"][1, 0, 8, 8]
     navigator.place(np.array([[5.0, 6.0]]), np.array([0.3]), 0.1, 0.01, rows=np.array([1]))
     b = navigator.state.belief
-    assert np.array_equal(b.x[0], before)
-    np.testing.assert_allclose(b.x[1, :, :3], [[5.0, 6.0, 0.3]] * 2)
-    assert b.p[1, 0, 8, 8] == bias  # what is known of the gyro stays
+    assert np.array_equal(b.models["x"][0], before)
+    np.testing.assert_allclose(b.models["x"][1, :, :3], [[5.0, 6.0, 0.3]] * 2)
+    assert b.models["p"][1, 0, 8, 8] == bias  # what is known of the gyro stays
 
 
 def test_a_cold_start_ends_with_levels():
@@ -207,11 +208,11 @@ def test_levels_grow_by_the_misfit_of_positions():
     assert (excess > 3.0).all()
     b, heading = navigator.state.belief, solution.heading_rad
     t = np.stack([np.sin(heading), np.cos(heading)], -1)[:, None]  # along
-    far = np.abs((t * (b.x[..., :2] - solution.position_en_m[:, None])).sum(-1))
+    far = np.abs((t * (b.models["x"][..., :2] - solution.position_en_m[:, None])).sum(-1))
     moved = (t[..., None] * b.influence[:, :, :2]).sum(2)
     far += np.abs(moved[..., :5]) @ bounds_of(navigator.config)
-    sigma = np.sqrt(np.einsum("bri,brij,brj->br", t + 0 * far[..., None], b.p[..., :2, :2], t + 0 * far[..., None])
-                    + np.square(moved[..., 5:]).sum(-1))  # fmt: skip
+    own, every = b.models["p"][..., :2, :2], t + 0 * far[..., None]
+    sigma = np.sqrt(np.einsum("bri,brij,brj->br", every, own, every) + np.square(moved[..., 5:]).sum(-1))
     least = np.min(far + norm.isf(0.5e-3) * sigma, -1)  # of one model, at no less than the budget of one side
     assert (solution.pl_cases_m[:, 1, 0] >= np.sqrt(excess) * 0.9 * least).all()
     np.testing.assert_allclose(solution.pl_cases_m[:, 2], np.repeat(navigator.report.htl_m[:, None], 2, 1))
@@ -355,9 +356,9 @@ def test_the_engine_navigates_as_a_single_environment(preset):
 def test_a_model_that_none_leads_to_is_refused():
     with pytest.raises(ConfigError, match=r"transition must reach each model, got the column \[0\.0, 0\.0\] of curved"):
         config(transition=[[1.0, 0.0], [1.0, 0.0]])
-    weight, predicted = np.zeros((2, 2)), np.zeros(2)
-    mixing_weights(np.array([0.5, 0.5]), np.array([[1.0, 0.0], [1.0, 0.0]]), True, weight, predicted)
-    assert np.isfinite(weight).all()
+    models = np.zeros(2, MODEL)
+    mixing_weights(models, np.array([0.5, 0.5]), np.array([[1.0, 0.0], [1.0, 0.0]]), True)
+    assert np.isfinite(models["weight"]).all()
 
 
 def few_satellites(m, count):
@@ -397,7 +398,7 @@ def test_a_first_position_has_the_constant_error_of_positions():
     np.testing.assert_allclose(b.influence[begun][:, :, [0, 1], [0, 1]], 1.0)
     fix = locate_by_codes(navigator.config.position.codes, m)  # its fast error lasts: variance by root 2
     began = np.sqrt(2.0) * fix.fast_m2[begun] + fix.slow_m2[begun]
-    np.testing.assert_allclose(b.p[begun][:, 0, :2, :2], began, rtol=1e-9)
+    np.testing.assert_allclose(b.models["p"][begun][:, 0, :2, :2], began, rtol=1e-9)
     navigator.place(np.zeros((2, 2)), np.zeros(2), 0.1, 0.01)
     assert not navigator.state.belief.influence[:, :, :2].any()
 

@@ -6,24 +6,23 @@ import pytest
 from lanebound.integrity.positioning.filters.correction_kernel import UNTESTED, Models, observe, vector_of
 from lanebound.integrity.positioning.filters.motion_kernel import fill_noise
 from lanebound.integrity.positioning.filters.vehicle_models import S
-from lanebound.integrity.positioning.filters.vehicle_states_kernel import STATES, WHITE
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import MODEL, STATES, WHITE
 
 
 @pytest.mark.parametrize("threshold", [UNTESTED, 9.0])
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_a_vector_that_is_not_finite_changes_nothing(threshold, wrong):
     for angular in (False, True):
-        models = Models(
-            np.zeros((2, STATES)), np.tile(np.eye(STATES), (2, 1, 1)), np.zeros((2, STATES, 3)), np.zeros(2)
-        )
-        vector = vector_of(3)
-        vector.z[0], vector.h[0, S.HEADING] = wrong, 1.0
-        vector.r[0, 0] = vector.single[0, 0] = 1.0
+        filters, vector = np.zeros(2, MODEL), vector_of(3)
+        filters["p"] = np.eye(STATES)
+        models, row = Models(filters, np.zeros((2, STATES, 3))), vector.row[0]
+        row["z"][0], row["h"][0, S.HEADING] = wrong, 1.0
+        row["r"][0, 0] = row["single"][0, 0] = 1.0
         _, used = observe(models, vector, 1, threshold, angular)
         assert not used
-        assert not models.x.any()
-        assert not models.likelihood.any()
-        np.testing.assert_array_equal(models.p, np.tile(np.eye(STATES), (2, 1, 1)))
+        assert not filters["x"].any()
+        assert not filters["likelihood"].any()
+        np.testing.assert_array_equal(filters["p"], np.tile(np.eye(STATES), (2, 1, 1)))
 
 
 def test_a_white_slip_rate_moves_a_straight_model_as_its_integral():

@@ -12,6 +12,7 @@ from plain_multiple_models import (
 
 from lanebound.integrity.positioning.filters import mixing_kernel
 from lanebound.integrity.positioning.filters.vehicle_models import TRANSITION, Interaction
+from lanebound.integrity.positioning.filters.vehicle_states_kernel import MODEL
 
 
 def manoeuvre():
@@ -57,19 +58,23 @@ def test_the_kernels_equal_the_published_filter():
     """The same by the kernels that the navigator runs."""
     f, q, zs = manoeuvre()
     h, r, t = np.array([[1.0, 0.0]]), np.array([[4.0]]), np.array([[0.97, 0.03], [0.05, 0.95]])
-    x, p, mu = np.array([[0.0, 10.0]] * 2), np.array([np.diag([10.0, 4.0])] * 2), np.array([0.5, 0.5])
-    weight, predicted, mean, covariance = np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.zeros((2, 2))
+    models, mixed, mixture, mu = np.zeros(2, MODEL), np.zeros(2, MODEL), np.zeros(1, MODEL), np.array([0.5, 0.5])
+    x, p, x_own, p_own = (
+        a[name][:, :2, :2] if name == "p" else a[name][:, :2] for a in (models, mixed) for name in "xp"
+    )
+    x[:], p[:] = [0.0, 10.0], np.diag([10.0, 4.0])
     out = []
     for z in zs:
-        x_own, p_own = np.zeros_like(x), np.zeros_like(p)
-        mixing_kernel.mixing_weights(mu, t, True, weight, predicted)
-        mixing_kernel.mix(x, p, weight, x_own, p_own)
-        x, p = (f @ x_own[..., None])[..., 0], f @ p_own @ f.T + q
+        mixing_kernel.mixing_weights(models, mu, t, True)
+        for j in range(2):
+            mixing_kernel.combine(models, models["weight"][j], 2, mixed[j])
+        x[:], p[:] = (f @ x_own[..., None])[..., 0], f @ p_own @ f.T + q
         found = innovate(x, p, np.array([z]), h, r)
-        x, p, _ = correct(x, p, h, found)
-        mixing_kernel.posterior(predicted, found.log_likelihood, mu)
-        mixing_kernel.combine(x, p, mu, mean, covariance, 2)
-        out.append((mean.copy(), covariance.copy(), mu.copy()))
+        x[:], p[:], _ = correct(x, p, h, found)
+        models["likelihood"] = found.log_likelihood
+        mixing_kernel.posterior(models, mu)
+        mixing_kernel.combine(models, mu, 2, mixture[0])
+        out.append((mixture["x"][0, :2].copy(), mixture["p"][0, :2, :2].copy(), mu.copy()))
     for ours, reference in zip(out, run(), strict=True):
         for part, other in zip(ours, reference, strict=True):
             np.testing.assert_allclose(part, other, rtol=1e-10)
