@@ -16,10 +16,9 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from lanebound.envs.batch import ego_kernel
+from lanebound.envs.batch.belief_kernel import locate
 from lanebound.envs.batch.infos import info_of
 from lanebound.envs.batch.lanes_kernel import NONE, closest
-from lanebound.envs.batch.navigation import fixes_of
-from lanebound.envs.batch.rows_kernel import locate_rows
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.ego import HOLD, BelievedVehicle, MetaEgo, take_over
 from lanebound.envs.lane_search import fast_network
@@ -47,7 +46,6 @@ class BeliefLoop:
     believed : the vehicle that meta-actions control, on its own perceived road over the shared network
     episodes : belief, perception and scores as records of one row
     time_s : since the start
-    solution : of all navigating vehicles at the last epoch, the ego first, then by slot; None where none navigates
     """
 
     def __init__(self, world: AbstractEnv, config: EnvConfig, context: EpisodeContext) -> None:
@@ -57,7 +55,6 @@ class BeliefLoop:
         self.step_s, self.epoch_s = (float(self.episodes.rules[name][0]) for name in ("step_s", "epoch_s"))
         self.steps_per_epoch = config.navigation.steps_per_epoch(config.simulation_hz)
         self.time_s, self._moved, self._seen = 0.0, 0, 0
-        self.solution: Solution | None = None
         self.actuated = config.actuators is not None
         self._onward: dict[tuple[LaneIndex, tuple[Any, ...]], int] = {}
         ego = world.vehicle
@@ -68,7 +65,7 @@ class BeliefLoop:
         self.seats.read(full=True)
         self.episodes.begin(ROW, [context.seed], context.starts, np.ones((1, self.seats.capacity), dtype=np.bool_))
         if self.meta:
-            self.episodes.ego.belief["target_speed_mps"] = self.believed.target_speed
+            self.episodes.ego["belief"]["target_speed_mps"] = self.believed.target_speed
         self._place()
 
     def _perceived_road(self) -> Road:
@@ -101,6 +98,11 @@ class BeliefLoop:
         """Measurements of all navigating vehicles at the last epoch, the ego first; None without any."""
         return None if self.episodes.navigation is None else self.episodes.navigation.measurements
 
+    @property
+    def solution(self) -> Solution | None:
+        """Of all navigating vehicles at the last epoch, the ego first, then by slot; None before and without any."""
+        return None if self.episodes.navigation is None else self.episodes.navigation.solution
+
     # What the physical ego calls
 
     def moved(self) -> None:
@@ -116,20 +118,12 @@ class BeliefLoop:
         epoch = self._seen % self.steps_per_epoch == 0
         self.seats.follow((self._seen - 1) % self.steps_per_epoch)
         self.seats.read(full=epoch)
-        _run(e.give_links(ROW))
-        if not epoch:
-            _run(e.coast_links(ROW))
-        else:
-            self._end_epoch()
+        e.carry_on(ROW, epoch)
+        if epoch:
+            e.sense(ROW)
+            e.locate(ROW)
+            e.perceive(ROW, np.array([self.time_s]), self._lies())
         self._place()
-
-    def _end_epoch(self) -> None:
-        """Measure the epoch that ends now, locate by the measurements alone, and perceive."""
-        e, fixes = self.episodes, None
-        if e.navigation is not None:
-            self.solution = e.navigation.navigate(ROW, e.batch)
-            fixes = fixes_of(self.solution)
-        _run(e.epoch_links(ROW, fixes, np.array([self.time_s]), self._lies()))
 
     def _lies(self) -> Array | None:
         """Errors that faults add to broadcasts of the other vehicles, (C, 4); None without such faults."""
@@ -150,7 +144,7 @@ class BeliefLoop:
         if self.config.navigation.source is Source.PERFECT:
             self.believed.copy_from(self.ego)
             return
-        belief, table = self.episodes.ego.belief, self.episodes.table
+        belief, table = self.episodes.ego["belief"], self.episodes.table
         b = belief[0]
         index = table.index[b["lane"]]
         if self.believed.route and index[:2] != self.believed.lane_index[:2]:
@@ -164,7 +158,7 @@ class BeliefLoop:
     def intend(self) -> dict[str, float]:
         """Steering and acceleration that carry meta-actions out from the believed pose."""
         e, car = self.episodes, self.believed
-        lanes, belief, rows = e.table.lanes, e.ego.belief, e.table.row
+        lanes, belief, rows = e.table.lanes, e.ego["belief"], e.table.row
         target = rows[car.target_lane_index]
         if ego_kernel.past_end(lanes, target, car.position[0], car.position[1]):
             car.follow_road()
@@ -191,7 +185,7 @@ class BeliefLoop:
         """A command as the actuators carry it out, with the brake that holds a standing car under ``HOLD``."""
         e = self.episodes
         steering, hold = ego_kernel.actuate(
-            e.ego.belief[0], e.ego.command[0], float(action["steering"]), float(action["acceleration"]),
+            e.ego["belief"][0], e.ego["command"][0], float(action["steering"]), float(action["acceleration"]),
             float(self.ego.LENGTH), e.rules[0],
         )  # fmt: skip
         out = {**action, "steering": steering}
@@ -212,15 +206,15 @@ class BeliefLoop:
         goal = None if kind is None else kind.arrived
         arrived = goal is None or goal(self.world)
         over = terminated or (goal is not None and arrived)
-        e.ego.facts[0] = bool(self.ego.on_road), over, truncated, arrived, base
-        _run(e.finish_links(ROW, start))
-        e.fill_extra(ROW)
-        return info_of(e.ego.outcome, 0)
+        e.ego["facts"][0] = bool(self.ego.on_road), over, truncated, arrived, base
+        e.score(ROW, start)
+        e.observe(ROW, start)
+        return info_of(e.ego["outcome"], 0)
 
     def _intents(self) -> None:
         """Targets of meta-actions, into the records."""
         if self.meta:
-            belief = self.episodes.ego.belief
+            belief = self.episodes.ego["belief"]
             belief["target_lane"] = self.episodes.table.row[self.believed.target_lane_index]
             belief["target_speed_mps"] = self.believed.target_speed
 
@@ -230,17 +224,11 @@ class BeliefLoop:
         """The belief of the ego about itself."""
         e = self.episodes
         self._intents()
-        locate_rows(0, 1, ROW, e.batch)
-        return EgoBelief.of(e.ego.belief, 0, e.table)
+        locate(e.ego["belief"][0], e.table.lanes, e.path_of, e.rules[0])
+        return EgoBelief.of(e.ego["belief"], 0, e.table)
 
     @property
     def traffic(self) -> Traffic:
         """Whom the ego perceives, nearest first."""
         pictures = self.episodes.perception.pictures
         return Traffic.of(pictures.perceived[0, : int(pictures.picture["seen"][0])])
-
-
-def _run(links: list[Any]) -> None:
-    """Run the links of a chain for one row."""
-    for kernel, arguments in links:
-        kernel(0, 1, *arguments)

@@ -274,7 +274,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         truncated = bool(truncated) or loop.time_s >= self._duration_s - 0.5 * self.dt_s
         info = loop.finish(bool(terminated), truncated, float(base))
         self._show(info)
-        outcome = loop.episodes.ego.outcome
+        outcome = loop.episodes.ego["outcome"]
         return self._observe(), float(outcome["reward"][0]), bool(outcome["terminated"][0] > 0.0), truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:

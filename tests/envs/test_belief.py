@@ -198,7 +198,7 @@ def test_a_pose_that_has_yet_to_take_a_jump_over_is_not_called_available() -> No
     e = loop.episodes
     assert e.tracks is not None
     e.tracks["residual_y_m"] = 3.0
-    settle(e.tracks[0], e.ego.belief[0], e.table.lanes, 0.0, e.rules[0])
+    settle(e.tracks[0], e.ego["belief"][0], e.table.lanes, 0.0, e.rules[0])
     belief = loop.belief()
     assert belief.pl_ct_m > 3.0 > belief.al_ct_m
     assert (belief.alert, belief.available, belief.reason) == (True, False, AlertReason.PL_CT.code)

@@ -28,12 +28,13 @@ def _world(seed: int, **config: Any) -> UrbanCanyonWorld:
 def _started(world: UrbanCanyonWorld, seed: int) -> tuple[Any, Any]:
     """The records of one environment of a world, after a start."""
     support = world.support()
-    car, drv = empty_rows(support.vehicles(world), 0)
+    car, drv = empty_rows(support.vehicles(world))
     clear(car, drv, Vehicle.LENGTH, Vehicle.WIDTH)
     start = support.starter(world, lane_table(world.road.network))
     count = start(np.random.Generator(np.random.PCG64(seed)), car, drv, np.zeros(1))
     seat(car, drv, count)
-    return car._replace(present=count), drv
+    assert not any(car[name][count:].any() for name in ("x", "y", "speed"))
+    return car[:count], drv
 
 
 def test_figures_are_those_of_the_drivers() -> None:
@@ -50,15 +51,14 @@ def test_an_episode_starts_as_the_worlds(count: int) -> None:
         car, drv = _started(world, seed)
         there, index = world.road.vehicles, lane_table(world.road.network).index
         crews.add(len(there))
-        assert car.present == len(there)
-        assert (car.slot >= 0).sum() == len(there) - 1
+        assert len(car) == len(there)
+        assert (car["slot"] >= 0).sum() == len(there) - 1
         for i, v in enumerate(there):
             values = (*v.position, v.heading, v.speed, np.cos(v.heading), np.sin(v.heading))
-            assert (car.x[i], car.y[i], car.heading[i], car.speed[i], drv.cos[i], drv.sin[i]) == values
-            assert index[car.lane[i]] == index[drv.target[i]] == v.lane_index == v.target_lane_index
+            assert (*car[["x", "y", "heading", "speed"]][i], *drv[["cos", "sin"]][i]) == values
+            assert index[car["lane"][i]] == index[drv["target"][i]] == v.lane_index == v.target_lane_index
             if isinstance(v, CityDriver):
-                assert (drv.target_speed[i], drv.timer[i], drv.delta[i]) == (v.target_speed, v.timer, v.DELTA)
-        assert not any(column[len(there) :].any() for column in (car.x, car.y, car.speed))
+                assert (drv["target_speed"][i], drv["timer"][i], drv["delta"][i]) == (v.target_speed, v.timer, v.DELTA)
     assert len(crews) > 2 or crews == {1} == {1 + count}
 
 
@@ -90,7 +90,7 @@ def test_neighbours_are_found_across_the_ends_of_roads() -> None:
         world = _world(seed, vehicles_count=40, spread=[-250.0, 250.0])
         network, table = world.road.network, lane_table(world.road.network)
         car, _ = _started(world, seed)
-        places = np.empty((car.x.size, len(table.index)))
+        places = np.empty((len(car), len(table.index)))
         city.place_all.py_func(car, table.lanes, places)
         there = world.road.vehicles
         for i, v in enumerate(there):

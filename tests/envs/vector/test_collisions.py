@@ -40,12 +40,12 @@ def test_who_crashes_and_where_to_is_the_same(in_order: bool) -> None:
     thrown = crashed = 0
     for seed in range(12):
         road = _crowd(seed, 9)
-        car, drv = empty_rows(9, len(road.vehicles))
+        car, drv = empty_rows(len(road.vehicles))
         clear(car, drv, Vehicle.LENGTH, Vehicle.WIDTH)
         for i, v in enumerate(road.vehicles):
-            (car.x[i], car.y[i]), car.heading[i], car.speed[i] = v.position, v.heading, v.speed
+            (car["x"][i], car["y"][i]), car["heading"][i], car["speed"][i] = v.position, v.heading, v.speed
         seat(car, drv, 9)
-        drv.order[:] = np.argsort(car.x)
+        drv["order"][:] = np.argsort(car["x"])
         if in_order:
             _sorted(car, drv, np.empty(60, dtype=np.int64))
         else:
@@ -54,9 +54,9 @@ def test_who_crashes_and_where_to_is_the_same(in_order: bool) -> None:
             for other in road.vehicles[i + 1 :]:
                 vehicle.handle_collisions(other, DT_S)
         for i, v in enumerate(road.vehicles):
-            assert bool(car.crashed[i]) == v.crashed
-            assert bool(drv.struck[i]) == (v.impact is not None)
+            assert bool(car["crashed"][i]) == v.crashed
+            assert bool(drv["struck"][i]) == (v.impact is not None)
             if v.impact is not None:
-                np.testing.assert_allclose([drv.impact_x[i], drv.impact_y[i]], v.impact, atol=1e-9)
-        thrown, crashed = thrown + int(drv.struck.sum()), crashed + int(car.crashed.sum())
+                np.testing.assert_allclose([drv["impact_x"][i], drv["impact_y"][i]], v.impact, atol=1e-9)
+        thrown, crashed = thrown + int(drv["struck"].sum()), crashed + int(car["crashed"].sum())
     assert thrown > crashed > 20
