@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from lanebound.envs.batch.ego_kernel import decide
 from lanebound.envs.batch.rows_kernel import carry_on
-from lanebound.envs.vector.drivers_kernel import command_ego
+from lanebound.envs.vector.drivers_kernel import NUMBERS, WHOLES, command_ego, load, vehicles_in
 from lanebound.integrity.core.accel import jit
 
 __all__ = ["FIELDS", "run_replay"]
@@ -12,21 +14,24 @@ __all__ = ["FIELDS", "run_replay"]
 FIELDS = ("x", "y", "heading", "speed", "lane", "crashed")
 
 
-@jit(borrows=True)
+@jit
 def run_replay(first, last, rows, frames, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
     """A kernel as in :mod:`lanebound.envs.vector.drive_kernel`, with poses from ``profile`` (N, S 6 V).
 
     The profile has S simulation steps, after which it begins again; of each the ``FIELDS`` of V vehicles.
     """
     places = cars.shape[1]
+    numbers, wholes = np.empty((NUMBERS, places)), np.empty((WHOLES, places), np.int64)
     steps = traffic.profile.shape[1] // (6 * places)
     for e in rows[first:last]:
         ego = egos[e]
         here = cars[e, : ego.vehicles]
+        v = vehicles_in(numbers, wholes, ego.vehicles)
         if codes.size > 0:
             decide(ego.belief, codes[e], lanes, traffic.speeds)
         for frame in range(frames):
-            command_ego(ego, here[0], drivers[e, 0], lanes, rules[0])
+            load(here, drivers[e], v)
+            command_ego(ego, v, lanes, rules[0])
             poses = traffic.profile[e].reshape(steps, 6, places)[ego.score.steps % steps]
             for i in range(here.shape[0]):
                 car = here[i]

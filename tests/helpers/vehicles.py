@@ -8,10 +8,10 @@ import numpy as np
 
 from lanebound.envs.batch.lanes_kernel import NONE
 from lanebound.envs.batch.records_kernel import CAR
-from lanebound.envs.vector.drivers_kernel import DRIVER
+from lanebound.envs.vector.drivers_kernel import DRIVER, NUMBERS, WHOLES, Vehicles, load, vehicles_in
 from lanebound.integrity.core.records import Records
 
-__all__ = ["cars_at", "empty_rows", "record_of"]
+__all__ = ["cars_at", "driving", "empty_rows", "record_of"]
 
 
 def record_of(kind: Any, **values: float) -> Any:
@@ -25,6 +25,14 @@ def record_of(kind: Any, **values: float) -> Any:
 def empty_rows(present: int) -> tuple[Records, Records]:
     """So many vehicles at rest at the origin: (V,) CAR and DRIVER."""
     return np.zeros(present, CAR), np.zeros(present, DRIVER)
+
+
+def driving(cars: Records, drivers: Records) -> Vehicles:
+    """The vehicles as kernels of traffic take them."""
+    numbers, wholes = np.zeros((NUMBERS, len(cars))), np.zeros((WHOLES, len(cars)), dtype=np.int64)
+    found: Vehicles = vehicles_in.py_func(numbers, wholes, len(cars))
+    load(cars, drivers, found)
+    return found
 
 
 def cars_at(

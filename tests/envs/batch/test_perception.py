@@ -166,7 +166,7 @@ def test_keys_stay_while_the_order_of_vehicles_changes() -> None:
     street, vehicles = Street(v2v=CLEAR), cars_at([[0, 0], [20, 0], [40, 0]])
     street.step(vehicles)
     turned = cars_at([[0, 0], [40, 0], [20, 0]])
-    turned.slot[:] = [-1, 1, 0]
+    turned["slot"][:] = [-1, 1, 0]
     traffic = street.step(turned)
     np.testing.assert_array_equal(traffic.key, [1, 2])
     np.testing.assert_allclose(traffic.position_m[:, 0], [20, 40])

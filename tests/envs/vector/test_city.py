@@ -16,7 +16,7 @@ from lanebound.envs.vector.drivers_kernel import clear, seat
 from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.envs.worlds.idm_parameters_kernel import CALM
 from lanebound.envs.worlds.urban_canyon import UrbanCanyonWorld
-from vehicles import empty_rows
+from vehicles import driving, empty_rows
 
 
 def _world(seed: int, **config: Any) -> UrbanCanyonWorld:
@@ -34,7 +34,7 @@ def _started(world: UrbanCanyonWorld, seed: int) -> tuple[Any, Any]:
     count = start(np.random.Generator(np.random.PCG64(seed)), car, drv, np.zeros(1))
     seat(car, drv, count)
     assert not any(car[name][count:].any() for name in ("x", "y", "speed"))
-    return car[:count], drv
+    return car[:count], drv[:count]
 
 
 def test_figures_are_those_of_the_drivers() -> None:
@@ -89,14 +89,14 @@ def test_neighbours_are_found_across_the_ends_of_roads() -> None:
     for seed in range(12):
         world = _world(seed, vehicles_count=40, spread=[-250.0, 250.0])
         network, table = world.road.network, lane_table(world.road.network)
-        car, _ = _started(world, seed)
-        places = np.empty((len(car), len(table.index)))
-        city.place_all.py_func(car, table.lanes, places)
+        v = driving(*_started(world, seed))
+        places = np.empty((v.x.size, len(table.index)))
+        city.place_all.py_func(v, table.lanes, places)
         there = world.road.vehicles
-        for i, v in enumerate(there):
-            for index in network.all_side_lanes(v.lane_index):
-                got = city._neighbours(car, table.lanes, places, table.row[index], i)
-                wanted = world.road.neighbour_vehicles(v, index)
+        for i, vehicle in enumerate(there):
+            for index in network.all_side_lanes(vehicle.lane_index):
+                got = city._neighbours(v, table.lanes, places, table.row[index], i)
+                wanted = world.road.neighbour_vehicles(vehicle, index)
                 assert got == tuple(-1 if other is None else there.index(other) for other in wanted)
                 across += any(other is not None and other.lane_index[:2] != index[:2] for other in wanted)
     assert across > 5
