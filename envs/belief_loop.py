@@ -1,13 +1,13 @@
 """The loop of a single environment from the true world to the belief of the ego, and from the belief to commands.
 
-After each motion of the car, :meth:`BeliefLoop.look` updates the belief before any decision: measure, locate, track,
-perceive traffic, place the believed vehicle. The only true values that it reads are the poses of the vehicles, from
-which sensor data are simulated. The formulas are those of :mod:`lanebound.envs.batch`, at one row.
+After each simulation step the belief follows before any decision: :meth:`BeliefLoop.sense`, :meth:`BeliefLoop.locate`
+and :meth:`BeliefLoop.perceive`. The only true values that they read are the poses of the vehicles, from which sensor
+data are simulated. The formulas are those of :mod:`lanebound.envs.batch`, at one row.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
@@ -31,11 +31,19 @@ from lanebound.envs.worlds.wander import Wander
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.solution import Solution
 
-__all__ = ["BeliefLoop"]
+__all__ = ["BeliefLoop", "WorldStep"]
 
 Array = NDArray[np.float64]
 ROW = np.zeros(1, dtype=np.int64)
 ROUTE_M = 2.0  # half a lane of highway-env's: by so much a lane of the route may be further off than another
+
+
+class WorldStep(NamedTuple):
+    """What the wrapped world says of a policy step: its end rules, and its own reward."""
+
+    terminated: bool
+    truncated: bool
+    reward: float
 
 
 class BeliefLoop:
@@ -54,12 +62,13 @@ class BeliefLoop:
         world.road.network = fast_network(world.road.network, self.episodes.table)
         self.step_s, self.epoch_s = (float(self.episodes.rules[name][0]) for name in ("step_s", "epoch_s"))
         self.steps_per_epoch = config.navigation.steps_per_epoch(config.simulation_hz)
-        self.time_s, self._moved, self._seen = 0.0, 0, 0
+        self.time_s, self._steps, self._ends_epoch = 0.0, 0, False
         self.actuated = config.actuators is not None
         self._onward: dict[tuple[LaneIndex, tuple[Any, ...]], int] = {}
         ego = world.vehicle
         self.believed = BelievedVehicle.of(ego, self._perceived_road())
         take_over(ego, self)
+        world._simulate = self.simulate
         wander = Wander(config.wander, context.seed, self.step_s)
         self.seats = Seats(world, self.episodes, int(context.starts.fleet_seed[0]), wander)
         self.seats.read(full=True)
@@ -103,27 +112,52 @@ class BeliefLoop:
         """Of all navigating vehicles at the last epoch, the ego first, then by slot; None before and without any."""
         return None if self.episodes.navigation is None else self.episodes.navigation.solution
 
-    # What the physical ego calls
+    # A policy step
 
-    def moved(self) -> None:
-        """Count a simulation step of the car; the other vehicles move after it."""
-        self._moved += 1
+    def step_world(self, command: Any) -> WorldStep:
+        """A policy step of the wrapped world, whose simulation is :meth:`simulate`."""
+        _, reward, terminated, truncated, _ = self.world.step(command)
+        return WorldStep(bool(terminated), bool(truncated), float(reward))
 
-    def look(self) -> None:
-        """Update the belief after the motion since the last call."""
-        if self._moved == self._seen:
-            return
-        e, self._seen = self.episodes, self._moved
-        self.time_s = self._seen * self.step_s
-        epoch = self._seen % self.steps_per_epoch == 0
-        self.seats.follow((self._seen - 1) % self.steps_per_epoch)
-        self.seats.read(full=epoch)
-        e.carry_on(ROW, epoch)
-        if epoch:
-            e.sense(ROW)
-            e.locate(ROW)
-            e.perceive(ROW, np.array([self.time_s]), self._lies())
+    def simulate(self, command: Any = None) -> None:
+        """Drive all simulation steps of a policy step; the belief follows each but the last."""
+        for frame in range(self.config.simulation_hz // self.config.policy_hz):
+            if frame > 0:
+                self.sense()
+                self.locate()
+                self.perceive()
+                self.world._automatic_rendering()  # highway-env's hook for pictures between decisions
+            elif command is not None:  # a world may have passed it on itself
+                self.world.action_type.act(command)
+            self.drive()
+
+    def drive(self) -> None:
+        """Move all vehicles by a simulation step; the ego carries out what follows from its belief."""
+        self.world.road.act()
+        self.world.road.step(self.step_s)
+        self.world.steps += 1
+        self._steps += 1
+        self.time_s = self._steps * self.step_s
+        self._ends_epoch = self._steps % self.steps_per_epoch == 0
+
+    def sense(self) -> None:
+        """Take the true poses of the vehicles; an epoch that ends is measured."""
+        self.seats.follow((self._steps - 1) % self.steps_per_epoch)
+        self.seats.read(full=self._ends_epoch)
+        self.episodes.carry_on(ROW, self._ends_epoch)
+        if self._ends_epoch:
+            self.episodes.sense(ROW)
+
+    def locate(self) -> None:
+        """Solve an epoch that ends by the measurements alone, and place the believed vehicle."""
+        if self._ends_epoch:
+            self.episodes.locate(ROW)
         self._place()
+
+    def perceive(self) -> None:
+        """Perceive the traffic at the end of an epoch."""
+        if self._ends_epoch:
+            self.episodes.perceive(ROW, np.array([self.time_s]), self._lies())
 
     def _lies(self) -> Array | None:
         """Errors that faults add to broadcasts of the other vehicles, (C, 4); None without such faults."""
@@ -195,8 +229,8 @@ class BeliefLoop:
 
     # Scores and observations
 
-    def finish(self, terminated: bool, truncated: bool, base: float, start: bool = False) -> dict[str, Any]:
-        """Score and observe the policy step that ends now, and return its info."""
+    def score(self, end: WorldStep, start: bool = False) -> None:
+        """Score the policy step that ends now."""
         e, row = self.episodes, self.episodes.table.row
         self.seats.read(full=True)
         self._intents()
@@ -205,11 +239,18 @@ class BeliefLoop:
         kind = world_kind(self.config.base)
         goal = None if kind is None else kind.arrived
         arrived = goal is None or goal(self.world)
-        over = terminated or (goal is not None and arrived)
-        e.ego["facts"][0] = bool(self.ego.on_road), over, truncated, arrived, base
+        over = end.terminated or (goal is not None and arrived)
+        e.ego["facts"][0] = bool(self.ego.on_road), over, end.truncated, arrived, end.reward
         e.score(ROW, start)
-        e.observe(ROW, start)
-        return info_of(e.ego["outcome"], 0)
+
+    def observe(self, start: bool = False) -> None:
+        """Fill the observation of now."""
+        self.episodes.observe(ROW, start)
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What the last policy step has come to."""
+        return info_of(self.episodes.ego["outcome"], 0)
 
     def _intents(self) -> None:
         """Targets of meta-actions, into the records."""

@@ -96,7 +96,7 @@ class Engine:
     def __init__(self, single: DrivingEnv, count: int) -> None:
         require_supported(single)
         self.single, self.count, self.support = single, count, support_of(single.config)
-        self._drive = traffic_of(self.support)
+        self._kernel = traffic_of(self.support)
         config, inner = single.config, single.world.action_type
         self.frames = config.simulation_hz // config.policy_hz
         meta = isinstance(inner, DiscreteMetaAction)
@@ -126,12 +126,12 @@ class Engine:
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the functions of the world."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("support", "_drive", "_start")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("support", "_kernel", "_start")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self.support = support_of(self.single.config)
-        self._drive = traffic_of(self.support)
+        self._kernel = traffic_of(self.support)
         self._start = self.support.starter(self.single.world, self.episodes.table)
 
     def _world(self) -> Any:
@@ -228,7 +228,7 @@ class Engine:
             self._take_up(actions)
         frames = self.frames if e.epoch_steps is None else e.epoch_steps
         for _ in range(0, self.frames, frames):
-            self._run_traffic(where, frames, codes)
+            self._drive(where, frames, codes)
             codes = NO_CODES
             if e.epoch_steps is not None:
                 e.sense(where)
@@ -238,11 +238,11 @@ class Engine:
         e.score(where, start=False)
         e.observe(where, start=False)
 
-    def _run_traffic(self, rows: Rows, frames: int, codes: Rows) -> None:
-        """Drive: simulation steps of all vehicles, in which egos carry out meta-actions ``codes``, if there are any."""
+    def _drive(self, rows: Rows, frames: int, codes: Rows) -> None:
+        """Simulation steps of all vehicles, in which egos carry out meta-actions ``codes``, if there are any."""
         e, stage = self.episodes, self._stage
         run_rows(
-            self._drive, rows.size, rows, frames, codes, e.cars, stage.drivers, e.ego, e.motions, e.table.lanes,
+            self._kernel, rows.size, rows, frames, codes, e.cars, stage.drivers, e.ego, e.motions, e.table.lanes,
             e.rules, stage.traffic, row_us=VEHICLE_FRAME_US * frames * e.cars.shape[1],
         )  # fmt: skip
 

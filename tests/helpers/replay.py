@@ -45,7 +45,7 @@ class Replay:
         stage, engine = self.engine._stage, self.engine
         places = len(FIELDS) * engine.episodes.cars.shape[1]
         self._profile = np.zeros((engine.count, engine.frames * places))
-        engine._drive = run_replay
+        engine._kernel = run_replay
         self._traffic = stage.traffic._replace(profile=self._profile)
 
     def reset(self, row: int, seed: int | None) -> None:
@@ -59,19 +59,17 @@ class Replay:
         """Make a single environment note the poses of all vehicles after each simulation step."""
         loop, poses, places = self.singles[row].belief_loop, self._poses[row], self.engine.episodes.cars.shape[1]
         assert loop is not None
-        look = loop.look
+        sense = loop.sense
 
         def noting() -> None:
-            before = loop._seen
-            look()
-            if loop._seen > before:
-                out = np.zeros((len(FIELDS), places))
-                for i, v in enumerate(loop.world.road.vehicles):
-                    lane = loop.episodes.table.row[v.lane_index]
-                    out[:, i] = v.position[0] + self.shift_m, v.position[1], v.heading, v.speed, lane, v.crashed
-                poses.append(out)
+            sense()
+            out = np.zeros((len(FIELDS), places))
+            for i, v in enumerate(loop.world.road.vehicles):
+                lane = loop.episodes.table.row[v.lane_index]
+                out[:, i] = v.position[0] + self.shift_m, v.position[1], v.heading, v.speed, lane, v.crashed
+            poses.append(out)
 
-        loop.look = noting  # type: ignore[method-assign]
+        loop.sense = noting  # type: ignore[method-assign]
 
     def step(self, count: int) -> None:
         """Drive on by so many policy steps under random commands; ended episodes are followed by others."""
