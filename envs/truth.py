@@ -43,6 +43,6 @@ def _true_traffic(loop: BeliefLoop) -> Records:
     loop.seats.read(full=True)
     e = loop.episodes
     cars = e.cars[0, : int(e.ego["vehicles"][0])]
-    seen, order, square = np.zeros(cars.size, PERCEIVED), np.empty(cars.size, dtype=np.int64), np.empty(cars.size)
-    count = see_truth(cars, float(cars["x"][0]), float(cars["y"][0]), True, order, square, seen)
+    seen = np.zeros(cars.size, PERCEIVED)
+    count = see_truth(cars, float(cars["x"][0]), float(cars["y"][0]), True, seen)
     return seen[:count]

@@ -300,26 +300,26 @@ def sum_up(radio, tracks, slots, e, figures, time, b, square, seen):  # type: ig
 
 
 @jit(borrows=True)
-def see_truth(cars, x, y, every, order, square, seen):  # type: ignore[no-untyped-def]
+def see_truth(cars, x, y, every, seen):  # type: ignore[no-untyped-def]
     """Fill ``seen`` (V - 1,) PERCEIVED with the others as they are, nearest to (x, y) first; returns how many.
 
-    Of two at one distance the first in the world comes first. ``every``: also those that have no slot. order and square
-    (V,) are scratch.
+    Of two at one distance the first in the world comes first. ``every``: also those that have no slot.
     """
     count = 0
     for i in range(1, cars.shape[0]):
         if cars[i].slot < 0 and not every:
             continue
         dx, dy = cars[i].x - x, cars[i].y - y
-        distance, at = dx * dx + dy * dy, count
-        while at > 0 and square[at - 1] > distance:
-            square[at], order[at] = square[at - 1], order[at - 1]
+        square, at = dx * dx + dy * dy, count
+        while at > 0 and seen[at - 1].age_s > square:  # the age holds the square of the distance until all are sorted
+            seen[at].age_s, seen[at].key = seen[at - 1].age_s, seen[at - 1].key
             at -= 1
-        square[at], order[at] = distance, i
+        seen[at].age_s, seen[at].key = square, i
         count += 1
     for n in range(count):
-        i, row = order[n], seen[n]
-        row.x_m, row.y_m, row.heading_rad, row.speed_mps = cars[i].x, cars[i].y, cars[i].heading, cars[i].speed
+        row = seen[n]
+        car = cars[row.key]
+        row.x_m, row.y_m, row.heading_rad, row.speed_mps = car.x, car.y, car.heading, car.speed
         row.pl_at_m = row.pl_ct_m = row.age_s = 0.0
-        row.length_m, row.width_m, row.relative, row.key = cars[i].length, cars[i].width, 0, i
+        row.length_m, row.width_m, row.relative = car.length, car.width, 0
     return count

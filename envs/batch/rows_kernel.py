@@ -143,7 +143,7 @@ def sum_up_rows(first, last, rows, egos, pictures, time):  # type: ignore[no-unt
 # After a policy step
 
 
-@jit
+@jit(borrows=True)
 def score_rows(  # type: ignore[no-untyped-def]
     first, last, rows, cars, egos, picture, perceived, lanes, path_of, rules, sees_truth, integrity, start
 ):
@@ -152,13 +152,12 @@ def score_rows(  # type: ignore[no-untyped-def]
     picture (N,) PICTURE, perceived (N, P) PERCEIVED; path_of (L,): row of the path from each lane by the present route;
     ``sees_truth``: traffic is perceived as it is; integrity: FULL, BLIND, or ORACLE, by which the truth is shown.
     """
-    order, square = np.empty(cars.shape[1], np.int64), np.empty(cars.shape[1])
     for e in rows[first:last]:
         ego, here, seen = egos[e], cars[e, : egos[e].vehicles], perceived[e]
         b = ego.belief
         locate(b, lanes, path_of, rules[0])
         if sees_truth:
-            picture[e].seen = see_truth(here, b.x_m, b.y_m, False, order, square, seen)
+            picture[e].seen = see_truth(here, b.x_m, b.y_m, False, seen)
         score(b, ego.score, here, seen, picture[e].seen, lanes, ego.facts, rules[0], start, ego.outcome)
         ego.shown = b
         if integrity == ORACLE:
@@ -179,13 +178,12 @@ def observe_rows(  # type: ignore[no-untyped-def]
     start,
 ):  # fmt: skip
     """Fill the frames (N, E) of observations; sources (E,) SOURCE; integrity: FULL, BLIND or ORACLE."""
-    order, square = np.empty(cars.shape[1], np.int64), np.empty(cars.shape[1])
     truth = np.empty_like(perceived[0])
     for e in rows[first:last]:
-        ego, here, seen, count = egos[e], cars[e, : egos[e].vehicles], perceived[e], picture[e].seen
+        ego, seen, count = egos[e], perceived[e], picture[e].seen
         if integrity == ORACLE:
-            seen = truth
-            count = see_truth(here, here[0].x, here[0].y, True, order, square, seen)
+            here, seen = cars[e, : ego.vehicles], truth
+            count = see_truth(here, here[0].x, here[0].y, True, seen)
         if start:
             ego.score.observed = 0
         derive(ego, seen, count, lanes, routes, rules[0], integrity, e, views)

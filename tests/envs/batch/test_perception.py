@@ -189,7 +189,7 @@ def test_truth_is_everybody_as_they_are_and_who_has_no_slot_is_overlooked() -> N
     car["slot"][3] = -1
     for every, keys in ((False, [2, 1]), (True, [3, 2, 1])):
         seen = np.zeros(3, PERCEIVED)
-        count = pk.see_truth(car, 0.0, 0.0, every, np.empty(4, dtype=np.int64), np.empty(4), seen)
+        count = pk.see_truth(car, 0.0, 0.0, every, seen)
         traffic = Traffic.of(seen[:count])
         np.testing.assert_array_equal(traffic.key, keys)
         np.testing.assert_array_equal(traffic.position_m, np.column_stack([car["x"], car["y"]])[keys])
