@@ -1,13 +1,13 @@
 """The loop of a single environment from the true world to the belief of the ego, and from the belief to commands.
 
-After each motion of the car, :meth:`BeliefLoop.look` updates the belief before any decision: measure, locate, track,
-perceive traffic, place the believed vehicle. The only true values that it reads are the poses of the vehicles, from
-which sensor data are simulated. The formulas are those of :mod:`lanebound.envs.batch`, at one row.
+After each simulation step the belief follows before any decision: :meth:`BeliefLoop.sense`, :meth:`BeliefLoop.locate`
+and :meth:`BeliefLoop.perceive`. The only true values that they read are the poses of the vehicles, from which sensor
+data are simulated. The formulas are those of :mod:`lanebound.envs.batch`, at one row.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
@@ -16,10 +16,9 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from lanebound.envs.batch import ego_kernel
+from lanebound.envs.batch.belief_kernel import locate
 from lanebound.envs.batch.infos import info_of
 from lanebound.envs.batch.lanes_kernel import NONE, closest
-from lanebound.envs.batch.navigation import fixes_of
-from lanebound.envs.batch.rows_kernel import locate_rows
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.ego import HOLD, BelievedVehicle, MetaEgo, take_over
 from lanebound.envs.lane_search import fast_network
@@ -32,11 +31,19 @@ from lanebound.envs.worlds.wander import Wander
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.solution import Solution
 
-__all__ = ["BeliefLoop"]
+__all__ = ["BeliefLoop", "WorldStep"]
 
 Array = NDArray[np.float64]
 ROW = np.zeros(1, dtype=np.int64)
 ROUTE_M = 2.0  # half a lane of highway-env's: by so much a lane of the route may be further off than another
+
+
+class WorldStep(NamedTuple):
+    """What the wrapped world says of a policy step: its end rules, and its own reward."""
+
+    terminated: bool
+    truncated: bool
+    reward: float
 
 
 class BeliefLoop:
@@ -47,7 +54,6 @@ class BeliefLoop:
     believed : the vehicle that meta-actions control, on its own perceived road over the shared network
     episodes : belief, perception and scores as records of one row
     time_s : since the start
-    solution : of all navigating vehicles at the last epoch, the ego first, then by slot; None where none navigates
     """
 
     def __init__(self, world: AbstractEnv, config: EnvConfig, context: EpisodeContext) -> None:
@@ -56,19 +62,19 @@ class BeliefLoop:
         world.road.network = fast_network(world.road.network, self.episodes.table)
         self.step_s, self.epoch_s = (float(self.episodes.rules[name][0]) for name in ("step_s", "epoch_s"))
         self.steps_per_epoch = config.navigation.steps_per_epoch(config.simulation_hz)
-        self.time_s, self._moved, self._seen = 0.0, 0, 0
-        self.solution: Solution | None = None
+        self.time_s, self._steps, self._ends_epoch = 0.0, 0, False
         self.actuated = config.actuators is not None
         self._onward: dict[tuple[LaneIndex, tuple[Any, ...]], int] = {}
         ego = world.vehicle
         self.believed = BelievedVehicle.of(ego, self._perceived_road())
         take_over(ego, self)
+        world._simulate = self.simulate
         wander = Wander(config.wander, context.seed, self.step_s)
         self.seats = Seats(world, self.episodes, int(context.starts.fleet_seed[0]), wander)
         self.seats.read(full=True)
         self.episodes.begin(ROW, [context.seed], context.starts, np.ones((1, self.seats.capacity), dtype=np.bool_))
         if self.meta:
-            self.episodes.ego.belief["target_speed_mps"] = self.believed.target_speed
+            self.episodes.ego["belief"]["target_speed_mps"] = self.believed.target_speed
         self._place()
 
     def _perceived_road(self) -> Road:
@@ -101,35 +107,57 @@ class BeliefLoop:
         """Measurements of all navigating vehicles at the last epoch, the ego first; None without any."""
         return None if self.episodes.navigation is None else self.episodes.navigation.measurements
 
-    # What the physical ego calls
+    @property
+    def solution(self) -> Solution | None:
+        """Of all navigating vehicles at the last epoch, the ego first, then by slot; None before and without any."""
+        return None if self.episodes.navigation is None else self.episodes.navigation.solution
 
-    def moved(self) -> None:
-        """Count a simulation step of the car; the other vehicles move after it."""
-        self._moved += 1
+    # A policy step
 
-    def look(self) -> None:
-        """Update the belief after the motion since the last call."""
-        if self._moved == self._seen:
-            return
-        e, self._seen = self.episodes, self._moved
-        self.time_s = self._seen * self.step_s
-        epoch = self._seen % self.steps_per_epoch == 0
-        self.seats.follow((self._seen - 1) % self.steps_per_epoch)
-        self.seats.read(full=epoch)
-        _run(e.give_links(ROW))
-        if not epoch:
-            _run(e.coast_links(ROW))
-        else:
-            self._end_epoch()
+    def step_world(self, command: Any) -> WorldStep:
+        """A policy step of the wrapped world, whose simulation is :meth:`simulate`."""
+        _, reward, terminated, truncated, _ = self.world.step(command)
+        return WorldStep(bool(terminated), bool(truncated), float(reward))
+
+    def simulate(self, command: Any = None) -> None:
+        """Drive all simulation steps of a policy step; the belief follows each but the last."""
+        for frame in range(self.config.simulation_hz // self.config.policy_hz):
+            if frame > 0:
+                self.sense()
+                self.locate()
+                self.perceive()
+                self.world._automatic_rendering()  # highway-env's hook for pictures between decisions
+            elif command is not None:  # a world may have passed it on itself
+                self.world.action_type.act(command)
+            self.drive()
+
+    def drive(self) -> None:
+        """Move all vehicles by a simulation step; the ego carries out what follows from its belief."""
+        self.world.road.act()
+        self.world.road.step(self.step_s)
+        self.world.steps += 1
+        self._steps += 1
+        self.time_s = self._steps * self.step_s
+        self._ends_epoch = self._steps % self.steps_per_epoch == 0
+
+    def sense(self) -> None:
+        """Take the true poses of the vehicles; an epoch that ends is measured."""
+        self.seats.follow((self._steps - 1) % self.steps_per_epoch)
+        self.seats.read(full=self._ends_epoch)
+        self.episodes.carry_on(ROW, self._ends_epoch)
+        if self._ends_epoch:
+            self.episodes.sense(ROW)
+
+    def locate(self) -> None:
+        """Solve an epoch that ends by the measurements alone, and place the believed vehicle."""
+        if self._ends_epoch:
+            self.episodes.locate(ROW)
         self._place()
 
-    def _end_epoch(self) -> None:
-        """Measure the epoch that ends now, locate by the measurements alone, and perceive."""
-        e, fixes = self.episodes, None
-        if e.navigation is not None:
-            self.solution = e.navigation.navigate(ROW, e.batch)
-            fixes = fixes_of(self.solution)
-        _run(e.epoch_links(ROW, fixes, np.array([self.time_s]), self._lies()))
+    def perceive(self) -> None:
+        """Perceive the traffic at the end of an epoch."""
+        if self._ends_epoch:
+            self.episodes.perceive(ROW, np.array([self.time_s]), self._lies())
 
     def _lies(self) -> Array | None:
         """Errors that faults add to broadcasts of the other vehicles, (C, 4); None without such faults."""
@@ -150,7 +178,7 @@ class BeliefLoop:
         if self.config.navigation.source is Source.PERFECT:
             self.believed.copy_from(self.ego)
             return
-        belief, table = self.episodes.ego.belief, self.episodes.table
+        belief, table = self.episodes.ego["belief"], self.episodes.table
         b = belief[0]
         index = table.index[b["lane"]]
         if self.believed.route and index[:2] != self.believed.lane_index[:2]:
@@ -164,7 +192,7 @@ class BeliefLoop:
     def intend(self) -> dict[str, float]:
         """Steering and acceleration that carry meta-actions out from the believed pose."""
         e, car = self.episodes, self.believed
-        lanes, belief, rows = e.table.lanes, e.ego.belief, e.table.row
+        lanes, belief, rows = e.table.lanes, e.ego["belief"], e.table.row
         target = rows[car.target_lane_index]
         if ego_kernel.past_end(lanes, target, car.position[0], car.position[1]):
             car.follow_road()
@@ -191,7 +219,7 @@ class BeliefLoop:
         """A command as the actuators carry it out, with the brake that holds a standing car under ``HOLD``."""
         e = self.episodes
         steering, hold = ego_kernel.actuate(
-            e.ego.belief[0], e.ego.command[0], float(action["steering"]), float(action["acceleration"]),
+            e.ego["belief"][0], e.ego["command"][0], float(action["steering"]), float(action["acceleration"]),
             float(self.ego.LENGTH), e.rules[0],
         )  # fmt: skip
         out = {**action, "steering": steering}
@@ -201,8 +229,8 @@ class BeliefLoop:
 
     # Scores and observations
 
-    def finish(self, terminated: bool, truncated: bool, base: float, start: bool = False) -> dict[str, Any]:
-        """Score and observe the policy step that ends now, and return its info."""
+    def score(self, end: WorldStep, start: bool = False) -> None:
+        """Score the policy step that ends now."""
         e, row = self.episodes, self.episodes.table.row
         self.seats.read(full=True)
         self._intents()
@@ -211,16 +239,23 @@ class BeliefLoop:
         kind = world_kind(self.config.base)
         goal = None if kind is None else kind.arrived
         arrived = goal is None or goal(self.world)
-        over = terminated or (goal is not None and arrived)
-        e.ego.facts[0] = bool(self.ego.on_road), over, truncated, arrived, base
-        _run(e.finish_links(ROW, start))
-        e.fill_extra(ROW)
-        return info_of(e.ego.outcome, 0)
+        over = end.terminated or (goal is not None and arrived)
+        e.ego["facts"][0] = bool(self.ego.on_road), over, end.truncated, arrived, end.reward
+        e.score(ROW, start)
+
+    def observe(self, start: bool = False) -> None:
+        """Fill the observation of now."""
+        self.episodes.observe(ROW, start)
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What the last policy step has come to."""
+        return info_of(self.episodes.ego["outcome"], 0)
 
     def _intents(self) -> None:
         """Targets of meta-actions, into the records."""
         if self.meta:
-            belief = self.episodes.ego.belief
+            belief = self.episodes.ego["belief"]
             belief["target_lane"] = self.episodes.table.row[self.believed.target_lane_index]
             belief["target_speed_mps"] = self.believed.target_speed
 
@@ -230,17 +265,11 @@ class BeliefLoop:
         """The belief of the ego about itself."""
         e = self.episodes
         self._intents()
-        locate_rows(0, 1, ROW, e.batch)
-        return EgoBelief.of(e.ego.belief, 0, e.table)
+        locate(e.ego["belief"][0], e.table.lanes, e.path_of, e.rules[0])
+        return EgoBelief.of(e.ego["belief"], 0, e.table)
 
     @property
     def traffic(self) -> Traffic:
         """Whom the ego perceives, nearest first."""
         pictures = self.episodes.perception.pictures
         return Traffic.of(pictures.perceived[0, : int(pictures.picture["seen"][0])])
-
-
-def _run(links: list[Any]) -> None:
-    """Run the links of a chain for one row."""
-    for kernel, arguments in links:
-        kernel(0, 1, *arguments)

@@ -10,7 +10,7 @@ import numpy as np
 from highway_env.envs.common.action import DiscreteMetaAction
 from numpy.typing import NDArray
 
-from lanebound.envs.belief_loop import BeliefLoop
+from lanebound.envs.belief_loop import BeliefLoop, WorldStep
 from lanebound.envs.catalogue import world_of
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation import Observer
@@ -253,9 +253,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(WORLD_SEEDS)))
         self._duration_s = duration_s(self.config, self.world)
         context = set_scene(self.world, self.config, episode_seed, faults)
-        self.belief_loop = BeliefLoop(self.world, self.config, context)
+        self.belief_loop = loop = BeliefLoop(self.world, self.config, context)
         self.observer.reset()
-        info = self.belief_loop.finish(False, False, 0.0, start=True)
+        loop.score(WorldStep(False, False, 0.0), start=True)
+        loop.observe(start=True)
+        info = loop.info
         self._show(info)
         return self._observe(), info
 
@@ -269,13 +271,17 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         """
         loop = self._loop()
         command = checked_command(self.action_space, action)
-        _, base, terminated, truncated, _ = self.world.step(command)
-        loop.look()
-        truncated = bool(truncated) or loop.time_s >= self._duration_s - 0.5 * self.dt_s
-        info = loop.finish(bool(terminated), truncated, float(base))
+        end = loop.step_world(command)  # drive: the belief follows all simulation steps but the last
+        loop.sense()  # that one as well, now that vehicles have entered and left
+        loop.locate()
+        loop.perceive()
+        if loop.time_s >= self._duration_s - 0.5 * self.dt_s:
+            end = end._replace(truncated=True)
+        loop.score(end)
+        loop.observe()
+        info, outcome = loop.info, loop.episodes.ego["outcome"][0]
         self._show(info)
-        outcome = loop.episodes.ego.outcome
-        return self._observe(), float(outcome["reward"][0]), bool(outcome["terminated"][0] > 0.0), truncated, info
+        return self._observe(), float(outcome["reward"]), bool(outcome["terminated"] > 0.0), end.truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """The picture of now, (height, width, 3), under ``rgb_array``; ``human`` shows it as the drive goes."""

@@ -30,12 +30,6 @@ class Loop(Protocol):
     believed: BelievedVehicle
     actuated: bool
 
-    def look(self) -> None:
-        """Update the belief; called before each decision."""
-
-    def moved(self) -> None:
-        """Count a simulation step; called before the other vehicles move."""
-
     def intend(self) -> dict[str, float]:
         """Steering and acceleration that carry meta-actions out from the believed pose."""
 
@@ -120,7 +114,6 @@ class MetaEgo(MDPVehicle):  # type: ignore[misc]
         if self.loop is None:
             super().act(action)
             return
-        self.loop.look()
         believed = self.loop.believed
         if action is not None:  # a decision alone moves nothing: this is called again, without one, in each step
             believed.act(action)
@@ -131,11 +124,9 @@ class MetaEgo(MDPVehicle):  # type: ignore[misc]
             Vehicle.act(self, self.loop.limit(dict(believed.action)))
 
     def step(self, dt: float) -> None:
-        """Move, and note it in the loop."""
+        """Move, held by the brake where it is on."""
         stand(self, dt)
         super().step(dt)
-        if self.loop is not None:
-            self.loop.moved()
 
 
 class DirectEgo(Vehicle):  # type: ignore[misc]
@@ -153,18 +144,15 @@ class DirectEgo(Vehicle):  # type: ignore[misc]
         if self.loop is None:
             self.BASE.act(self, action)
             return
-        self.loop.look()
         if action is not None:
             self.command = dict(action)
         else:
             self.BASE.act(self, self.loop.limit(dict(self.command or self.action)))
 
     def step(self, dt: float) -> None:
-        """Move, and note it in the loop."""
+        """Move, held by the brake where it is on."""
         stand(self, dt)
         self.BASE.step(self, dt)
-        if self.loop is not None:
-            self.loop.moved()
 
     def predict_trajectory_constant_speed(self, times: Array) -> tuple[list[Array], list[float]]:
         """As every vehicle: others predict the real car, and copies of it have no loop."""

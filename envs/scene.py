@@ -99,7 +99,7 @@ def make_batch(world: AbstractEnv, config: EnvConfig, count: int, vehicles: int)
 
 def begin_all(episodes: Episodes, rows: NDArray[np.int64], seeds: Sequence[int]) -> None:
     """Begin episodes of the engine, whose cars are in their places."""
-    crew = np.arange(1, episodes.cars.x.shape[1]) < episodes.cars.present[rows, None]
+    crew = np.arange(1, episodes.cars.shape[1]) < episodes.ego["vehicles"][rows, None]
     config, navigation = episodes.config, episodes.navigation
     starts = None
     if navigation is not None:

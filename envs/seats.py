@@ -63,16 +63,16 @@ class Seats:
             self.slot[vehicle] = self._free.pop()
         self.vehicles = [self.world.vehicle, *others]
         self._make_room(len(self.vehicles))
-        cars, n = self.episodes.cars, len(self.vehicles)
-        cars.present[0], cars.slot[0] = n, -1
-        cars.slot[0, 1:n] = [self.slot.get(v, -1) for v in others]
-        cars.length[0, :n] = [v.LENGTH for v in self.vehicles]
-        cars.width[0, :n] = [v.WIDTH for v in self.vehicles]
+        cars, n = self.episodes.cars[0], len(self.vehicles)
+        self.episodes.ego["vehicles"], cars["slot"] = n, -1
+        cars["slot"][1:n] = [self.slot.get(v, -1) for v in others]
+        cars["length"][:n] = [v.LENGTH for v in self.vehicles]
+        cars["width"][:n] = [v.WIDTH for v in self.vehicles]
         return fresh
 
     def _make_room(self, count: int) -> None:
         """Make the rows longer when there are more vehicles than columns."""
-        if count > self.episodes.cars.x.shape[1]:
+        if count > self.episodes.cars.shape[1]:
             self.episodes.replace_cars(empty_cars(1, 2 * count))
 
     def follow(self, passed: int) -> None:
@@ -94,22 +94,22 @@ class Seats:
 
     def read(self, full: bool) -> None:
         """Take the poses of the vehicles; ``full``: speeds, lanes and crashes as well."""
-        cars, vehicles = self.episodes.cars, self.vehicles
+        cars, vehicles = self.episodes.cars[0], self.vehicles
         navigation = self.episodes.navigation
         if not full and (navigation is None or navigation.vehicles == 1):
             vehicles = vehicles[:1]
         n = len(vehicles)
-        cars.x[0, :n], cars.y[0, :n] = np.array([v.position for v in vehicles], dtype=np.float64).T
-        cars.heading[0, :n] = [v.heading for v in vehicles]
-        cars.speed[0, 0] = vehicles[0].speed
+        cars["x"][:n], cars["y"][:n] = np.array([v.position for v in vehicles], dtype=np.float64).T
+        cars["heading"][:n] = [v.heading for v in vehicles]
+        cars["speed"][0] = vehicles[0].speed
         row = self.episodes.table.row
-        cars.lane[0, 0] = row[vehicles[0].lane_index]
+        cars["lane"][0] = row[vehicles[0].lane_index]
         if full:
-            cars.speed[0, :n] = [v.speed for v in vehicles]
-            cars.lane[0, :n] = [row[v.lane_index] for v in vehicles]
-            cars.crashed[0, :n] = [v.crashed for v in vehicles]
+            cars["speed"][:n] = [v.speed for v in vehicles]
+            cars["lane"][:n] = [row[v.lane_index] for v in vehicles]
+            cars["crashed"][:n] = [v.crashed for v in vehicles]
             if self.episodes.table.has_crossings:
-                cars.onward[0, :n] = [_onward(v, row) for v in vehicles]
+                cars["onward"][:n] = [_onward(v, row) for v in vehicles]
 
 
 def _onward(vehicle: Vehicle, row: Mapping[LaneIndex, int]) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 
 from lanebound.envs.batch.costs_kernel import lead_of
 from lanebound.envs.batch.perception_kernel import see_truth
-from lanebound.envs.batch.records_kernel import cars_of
+from lanebound.envs.batch.records_kernel import PERCEIVED
 from lanebound.envs.batch.view_kernel import true_view
 from lanebound.envs.belief_loop import BeliefLoop
 from lanebound.integrity.core.records import Records
@@ -34,15 +34,15 @@ def true_lead(loop: BeliefLoop) -> TrueLead | None:
 def _true_belief(loop: BeliefLoop) -> Records:
     e = loop.episodes
     loop.belief()  # brings the records up to date
-    view: Records = e.ego.belief.copy()
-    true_view(e.ego.belief[0], cars_of.py_func(e.cars, 0), e.table.lanes, e.path_of, e.rules[0], view[0])
+    view: Records = e.ego["belief"].copy()
+    true_view(e.cars[0, 0], e.table.lanes, e.path_of, e.rules[0], view[0])
     return view
 
 
 def _true_traffic(loop: BeliefLoop) -> Records:
     loop.seats.read(full=True)
-    car = cars_of.py_func(loop.episodes.cars, 0)
-    seen = np.zeros(car.x.size, loop.episodes.perception.pictures.perceived.dtype)
-    order, square = np.empty(car.x.size, dtype=np.int64), np.empty(car.x.size)
-    count = see_truth(car, car.x[0], car.y[0], True, order, square, seen)
+    e = loop.episodes
+    cars = e.cars[0, : int(e.ego["vehicles"][0])]
+    seen = np.zeros(cars.size, PERCEIVED)
+    count = see_truth(cars, float(cars["x"][0]), float(cars["y"][0]), True, seen)
     return seen[:count]

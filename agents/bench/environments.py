@@ -48,23 +48,26 @@ class _Clock:
     """Adds up the time that navigation takes in single environments: skies, measurements and solutions."""
 
     def __init__(self) -> None:
-        self.seconds, self._kept = 0.0, NavigationBatch.navigate
+        self.seconds, self._kept = 0.0, {name: getattr(NavigationBatch, name) for name in ("sense", "locate")}
 
     def __enter__(self) -> _Clock:
-        kept = self._kept
+        for name, kept in self._kept.items():
+            setattr(NavigationBatch, name, self._timed(kept))
+        return self
 
-        def timed(navigation: NavigationBatch, *given: Any) -> Any:
+    def _timed(self, kept: Any) -> Any:
+        def timed(*given: Any) -> None:
             begun = time.perf_counter()
             try:
-                return kept(navigation, *given)
+                kept(*given)
             finally:
                 self.seconds += time.perf_counter() - begun
 
-        setattr(NavigationBatch, "navigate", timed)  # noqa: B010 - a method cannot be assigned
-        return self
+        return timed
 
     def __exit__(self, *_: object) -> None:
-        setattr(NavigationBatch, "navigate", self._kept)  # noqa: B010
+        for name, kept in self._kept.items():
+            setattr(NavigationBatch, name, kept)
 
 
 def _shares(name: str, source: str, rounds: int) -> tuple[float, float]:

@@ -77,9 +77,6 @@ class Film:
 
     def _between(self) -> None:
         """The world has moved by a simulation step that is not the last before a decision."""
-        loop = self.env.belief_loop
-        if loop is not None:
-            loop.look()
         self._tick()
 
     def _tick(self) -> None:

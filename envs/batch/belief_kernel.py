@@ -155,11 +155,11 @@ def take_given(b, car, lanes, passed, rules):  # type: ignore[no-untyped-def]
     Without an offset the believed pose and lane are the true ones, bit for bit. At a start ``passed`` is 0.
     """
     at, ct, heading, speed = rules.offset_at_m, rules.offset_ct_m, b.heading_rad, b.speed_mps
-    b.heading_rad, b.speed_mps = car.heading[0], car.speed[0]
+    b.heading_rad, b.speed_mps = car.heading, car.speed
     if passed > 0.0:
         turned = b.heading_rad - heading
         b.yaw_rate_radps, b.acceleration_mps2 = rates(turned, b.speed_mps, speed, b.acceleration_mps2, passed)
-    b.x_m, b.y_m, b.lane = car.x[0], car.y[0], car.lane[0]
+    b.x_m, b.y_m, b.lane = car.x, car.y, car.lane
     if at != 0.0 or ct != 0.0:
         cosine, sine = math.cos(b.heading_rad), math.sin(b.heading_rad)
         b.x_m += at * cosine - ct * sine

@@ -25,22 +25,22 @@ CROSSING_COS = math.cos(math.radians(30.0))
 
 
 @jit(inline=True)
-def _onward(car, lanes, i):  # type: ignore[no-untyped-def]
+def _onward(cars, lanes, i):  # type: ignore[no-untyped-def]
     """The lane that a vehicle goes on to, by its route or as the only one; NONE without one."""
-    return car.onward[i] if car.onward[i] >= 0 else lanes.table[car.lane[i]].onward
+    return cars[i].onward if cars[i].onward >= 0 else lanes.table[cars[i].lane].onward
 
 
 @jit(borrows=True)
-def _may_cross(car, lanes, i):  # type: ignore[no-untyped-def]
+def _may_cross(cars, lanes, i):  # type: ignore[no-untyped-def]
     """Whether other lanes cross that of a vehicle, or the one that it goes on to."""
-    onward = _onward(car, lanes, i)
-    return lanes.table[car.lane[i]].crossed != 0 or (onward >= 0 and lanes.table[onward].crossed != 0)
+    onward = _onward(cars, lanes, i)
+    return lanes.table[cars[i].lane].crossed != 0 or (onward >= 0 and lanes.table[onward].crossed != 0)
 
 
 @jit(borrows=True)
-def _pose(car, lanes, i, s, r):  # type: ignore[no-untyped-def]
+def _pose(cars, lanes, i, s, r):  # type: ignore[no-untyped-def]
     """Middle and direction of a vehicle at a station of its lane, or of the next one past its end, at an offset."""
-    n, onward = car.lane[i], _onward(car, lanes, i)
+    n, onward = cars[i].lane, _onward(cars, lanes, i)
     length = lanes.table[n].length_m
     if s > length and onward >= 0:
         n, s = onward, s - length
@@ -49,58 +49,59 @@ def _pose(car, lanes, i, s, r):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _apart(dx, dy, nx, ny, car, i, angle, other):  # type: ignore[no-untyped-def]
+def _apart(dx, dy, nx, ny, cars, i, angle, other):  # type: ignore[no-untyped-def]
     """Whether the shadows of two bodies on a unit normal do not meet; ``angle`` and ``other``: their headings."""
-    reach = 0.5 * car.length[0] * abs(nx * math.cos(angle) + ny * math.sin(angle))
-    reach += 0.5 * car.width[0] * abs(ny * math.cos(angle) - nx * math.sin(angle))
-    reach += 0.5 * car.length[i] * abs(nx * math.cos(other) + ny * math.sin(other))
-    reach += 0.5 * car.width[i] * abs(ny * math.cos(other) - nx * math.sin(other))
+    reach = 0.5 * cars[0].length * abs(nx * math.cos(angle) + ny * math.sin(angle))
+    reach += 0.5 * cars[0].width * abs(ny * math.cos(angle) - nx * math.sin(angle))
+    reach += 0.5 * cars[i].length * abs(nx * math.cos(other) + ny * math.sin(other))
+    reach += 0.5 * cars[i].width * abs(ny * math.cos(other) - nx * math.sin(other))
     return abs(nx * dx + ny * dy) > reach
 
 
 @jit(borrows=True)
-def _overlap(car, i, own, theirs):  # type: ignore[no-untyped-def]
+def _overlap(cars, i, own, theirs):  # type: ignore[no-untyped-def]
     """Whether the bodies of the ego and of vehicle i meet at an angle; poses (x, y, heading)."""
     dx, dy, angle, other = theirs[0] - own[0], theirs[1] - own[1], own[2], theirs[2]
-    square = (car.length[0] + car.length[i]) ** 2 + (car.width[0] + car.width[i]) ** 2
+    square = (cars[0].length + cars[i].length) ** 2 + (cars[0].width + cars[i].width) ** 2
     if 4.0 * (dx * dx + dy * dy) > square or math.cos(other - angle) > CROSSING_COS:
         return False
     for side in range(4):
         heading = (angle if side < 2 else other) + 0.5 * math.pi * (side % 2)
-        if _apart(dx, dy, math.cos(heading), math.sin(heading), car, i, angle, other):
+        if _apart(dx, dy, math.cos(heading), math.sin(heading), cars, i, angle, other):
             return False
     return True
 
 
 @jit(borrows=True)
-def _least_s(car, lanes, i, own, theirs, past_s, least):  # type: ignore[no-untyped-def]
+def _least_s(cars, lanes, i, own, theirs, past_s, least):  # type: ignore[no-untyped-def]
     """T2 with vehicle i, ``least`` at most; own and theirs: station and offset on their lanes now."""
     first, last = -math.ceil(past_s / STEP_S), math.ceil(least / STEP_S)
     for m in range(first, last):
         a = m * STEP_S
-        pose = _pose(car, lanes, 0, own[0] + car.speed[0] * a, own[1])
+        pose = _pose(cars, lanes, 0, own[0] + cars[0].speed * a, own[1])
         for k in range(first, last):
             b = k * STEP_S
             later = max(a, b) - min(a, b, 0.0)
-            if later < least and _overlap(car, i, pose, _pose(car, lanes, i, theirs[0] + car.speed[i] * b, theirs[1])):
+            station = theirs[0] + cars[i].speed * b
+            if later < least and _overlap(cars, i, pose, _pose(cars, lanes, i, station, theirs[1])):
                 least = later
     return least
 
 
 @jit(borrows=True)
-def second_arrival_s(car, lanes, horizon_s, past_s):  # type: ignore[no-untyped-def]
+def second_arrival_s(cars, lanes, horizon_s, past_s):  # type: ignore[no-untyped-def]
     """The least T2 of the true ego with another vehicle that drives, ``horizon_s`` at most.
 
     ``past_s``: time since the last decision.
     """
     least = horizon_s
-    if not _may_cross(car, lanes, 0):
+    if not _may_cross(cars, lanes, 0):
         return least
-    own = local(lanes, car.lane[0], car.x[0], car.y[0])
-    for i in range(1, car.present):
-        reach = horizon_s * (abs(car.speed[0]) + abs(car.speed[i])) + car.length[0] + car.length[i]
-        near = math.hypot(car.x[i] - car.x[0], car.y[i] - car.y[0]) < reach
-        if near and car.crashed[i] == 0 and _may_cross(car, lanes, i):
-            theirs = local(lanes, car.lane[i], car.x[i], car.y[i])
-            least = _least_s(car, lanes, i, own, theirs, past_s, least)
+    own = local(lanes, cars[0].lane, cars[0].x, cars[0].y)
+    for i in range(1, cars.shape[0]):
+        reach = horizon_s * (abs(cars[0].speed) + abs(cars[i].speed)) + cars[0].length + cars[i].length
+        near = math.hypot(cars[i].x - cars[0].x, cars[i].y - cars[0].y) < reach
+        if near and cars[i].crashed == 0 and _may_cross(cars, lanes, i):
+            theirs = local(lanes, cars[i].lane, cars[i].x, cars[i].y)
+            least = _least_s(cars, lanes, i, own, theirs, past_s, least)
     return least

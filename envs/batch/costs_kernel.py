@@ -62,7 +62,7 @@ def follow_corridor(sc, b, car, lanes, rules, dt):  # type: ignore[no-untyped-de
     if target.road == sc.corridor_road and side != sc.corridor_side:
         sc.leaving_side = sc.corridor_side
     sc.corridor_road, sc.corridor_side = target.road, side
-    half = 0.5 * (car.width[0] * abs(math.cos(b.angle_rad)) + car.length[0] * abs(math.sin(b.angle_rad)))
+    half = 0.5 * (car.width * abs(math.cos(b.angle_rad)) + car.length * abs(math.sin(b.angle_rad)))
     lane = lanes.table[b.lane]
     inside = abs(b.lateral_m) + half < 0.5 * b.lane_width_m
     arrived = lane.road == sc.corridor_road and lane.side == side and inside
@@ -103,14 +103,14 @@ def overhang_m(car, sc, lanes, keep):  # type: ignore[no-untyped-def]
     """
     road, own = sc.corridor_road, sc.corridor_side
     low, high = _span(lanes, sc, road, not keep)
-    cosine, sine = math.cos(car.heading[0]), math.sin(car.heading[0])
+    cosine, sine = math.cos(car.heading), math.sin(car.heading)
     joint_first, joint_last = lanes.table[road].joint_first, lanes.table[road].joint_last
     worst = 0.0
     for corner in range(4):
-        along = 0.5 * car.length[0] * (1.0 if corner < 2 else -1.0)
-        across = 0.5 * car.width[0] * (-1.0 if corner == 0 or corner == 3 else 1.0)
-        x = car.x[0] + cosine * along - sine * across
-        y = car.y[0] + sine * along + cosine * across
+        along = 0.5 * car.length * (1.0 if corner < 2 else -1.0)
+        across = 0.5 * car.width * (-1.0 if corner == 0 or corner == 3 else 1.0)
+        x = car.x + cosine * along - sine * across
+        y = car.y + sine * along + cosine * across
         endless, on = _beyond(lanes, low, high, x, y)
         out = endless if on else math.inf
         for k in range(joint_first, joint_last):
@@ -129,7 +129,7 @@ def overhang_m(car, sc, lanes, keep):  # type: ignore[no-untyped-def]
 @jit(borrows=True)
 def _doubt_m(b, sc, car, lanes):  # type: ignore[no-untyped-def]
     """How far beyond the corridor the estimate and its level allow the car to be, negative inside."""
-    half = 0.5 * car.width[0]
+    half = 0.5 * car.width
     if sc.leaving_side < 0:
         return abs(b.lateral_m) + b.pl_ct_m + half - 0.5 * b.lane_width_m
     low, high = _span(lanes, sc, lanes.table[b.lane].road, False)
@@ -160,17 +160,17 @@ def _lacking(gap, needed):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def shortfall(car, lanes, c):  # type: ignore[no-untyped-def]
+def shortfall(cars, lanes, c):  # type: ignore[no-untyped-def]
     """Share of the RSS distance that in truth lacks to a vehicle ahead, within half the lane's width; 0 to 1."""
-    n, worst = car.lane[0], 0.0
+    n, worst = cars[0].lane, 0.0
     lane = lanes.table[n]
-    place, _, _ = local(lanes, n, car.x[0], car.y[0])
+    place, _, _ = local(lanes, n, cars[0].x, cars[0].y)
     half, flat = 0.5 * width_at(lanes, n, place), lane.kind == STRAIGHT
-    for i in range(1, car.present):
-        s, r = straight(lane, car.x[i], car.y[i]) if flat else local(lanes, n, car.x[i], car.y[i])[:2]
+    for i in range(1, cars.shape[0]):
+        s, r = straight(lane, cars[i].x, cars[i].y) if flat else local(lanes, n, cars[i].x, cars[i].y)[:2]
         if (s > place) & (abs(r) <= half):
-            needed = rss_distance_m(car.speed[0], car.speed[i], c)
-            worst = max(worst, _lacking(s - place - 0.5 * (car.length[0] + car.length[i]), needed))
+            needed = rss_distance_m(cars[0].speed, cars[i].speed, c)
+            worst = max(worst, _lacking(s - place - 0.5 * (cars[0].length + cars[i].length), needed))
     return worst
 
 
@@ -195,10 +195,10 @@ def lead_of(b, seen, count, length, lanes):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _headway(b, car, seen, count, lanes, c):  # type: ignore[no-untyped-def]
+def _headway(b, cars, seen, count, lanes, c):  # type: ignore[no-untyped-def]
     """Share of the RSS distance that lacks: by what is believed of the lead, or in truth if that is worse."""
-    truly = shortfall(car, lanes, c)
-    lead, gap = lead_of(b, seen, count, car.length[0], lanes)
+    truly = shortfall(cars, lanes, c)
+    lead, gap = lead_of(b, seen, count, cars[0].length, lanes)
     if lead < 0:
         return 1.0 if truly > 0.0 else 0.0
     bound = seen[lead].pl_at_m + (0.0 if seen[lead].relative != 0 else b.pl_at_m)
@@ -207,20 +207,20 @@ def _headway(b, car, seen, count, lanes, c):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _conflict(car, sc, lanes, c, dt):  # type: ignore[no-untyped-def]
+def _conflict(cars, sc, lanes, c, dt):  # type: ignore[no-untyped-def]
     """By how much a conflict of crossing courses has become more severe in a step: in sum the peak of each conflict."""
-    severity = max(1.0 - second_arrival_s(car, lanes, c.conflict_s, dt) / c.conflict_s, 0.0)
+    severity = max(1.0 - second_arrival_s(cars, lanes, c.conflict_s, dt) / c.conflict_s, 0.0)
     more = max(severity - sc.conflict, 0.0) if dt > 0.0 else 0.0
     sc.conflict = max(severity, sc.conflict) if severity > 0.0 else 0.0
     return more
 
 
 @jit(borrows=True)
-def price(b, sc, car, seen, count, lanes, rules, dt, out):  # type: ignore[no-untyped-def]
+def price(b, sc, cars, seen, count, lanes, rules, dt, out):  # type: ignore[no-untyped-def]
     """Fill the costs of a step by cause, and their weighted sum; ``out`` holds the verdict already."""
-    keep, speed, c = rules.keep_lane != 0, abs(car.speed[0]), rules.costs
-    beyond = min(max(overhang_m(car, sc, lanes, keep), 0.0), EXCESS_MOST_M)
-    doubt = min(max(_doubt_m(b, sc, car, lanes), 0.0), EXCESS_MOST_M) if keep else 0.0
+    keep, speed, c = rules.keep_lane != 0, abs(cars[0].speed), rules.costs
+    beyond = min(max(overhang_m(cars[0], sc, lanes, keep), 0.0), EXCESS_MOST_M)
+    doubt = min(max(_doubt_m(b, sc, cars[0], lanes), 0.0), EXCESS_MOST_M) if keep else 0.0
     late = b.alert != 0 and b.alert_age_s > c.time_to_alert_s
     limit = lanes.table[b.lane].speed_limit_mps
     fast = limit > 0.0 and speed > c.alert_speed_share * limit
@@ -228,8 +228,8 @@ def price(b, sc, car, seen, count, lanes, rules, dt, out):  # type: ignore[no-un
     out.cost_off_road = out.astray_now
     out.cost_lane = beyond * speed * dt
     out.cost_lane_integrity = doubt * speed * dt
-    out.cost_headway = _headway(b, car, seen, count, lanes, c) * dt
-    out.cost_conflict = _conflict(car, sc, lanes, c, dt)
+    out.cost_headway = _headway(b, cars, seen, count, lanes, c) * dt
+    out.cost_conflict = _conflict(cars, sc, lanes, c, dt)
     out.cost_alert = dt if late and (fast or sc.leaving_side >= 0) else 0.0
     out.cost_hmi = out.hmi_share * dt
     out.cost_context = dt if b.context_warning != 0 and (fast or sc.leaving_side >= 0) else 0.0

@@ -33,7 +33,7 @@ class StepResult(NamedTuple):
 
 def results(outcome: Records, of: NDArray[np.bool_] | None = None) -> StepResult:
     """The outcomes (N,) OUTCOME of all environments; or of those ``of`` (N,), and zeros of the others."""
-    rows = np.ndarray((outcome.size, len(FIELDS)), np.float64, outcome).T.copy()
+    rows = outcome.view((np.float64, len(FIELDS))).T.copy()
     if of is not None:
         rows[:, ~of] = 0.0
     reward, *terms = rows[:COST]

@@ -18,7 +18,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
 from lanebound.integrity.motion.truth_kernel import END, between
 
-__all__ = ["MOTION", "Whereabouts", "advance", "begin_motion", "fill_motion", "fill_whereabouts"]
+__all__ = ["MOTION", "Whereabouts", "advance", "begin_motion", "fill_motion", "fill_whereabouts", "follow_motion"]
 
 MOTION = record(
     position=("f8", (2,), "x, y now [m]"),
@@ -79,39 +79,54 @@ def fill_motion(motions, rows, step_s, down, truth):  # type: ignore[no-untyped-
             between(ends[0], ends[1], down, truth[e * count + i])
 
 
-@jit(borrows=True)
-def fill_whereabouts(cars, lanes, where, e, first, count, truth):  # type: ignore[no-untyped-def]
-    """Fill arc and lane of the ``count`` navigating vehicles of environment e, from row ``first`` of TRUTH on."""
-    for v in range(cars.present[e]):
-        i = 0 if v == 0 else cars.slot[e, v] + 1
-        if (v == 0 or i > 0) and i < count:
-            n = cars.lane[e, v]
-            s, _, _ = local(lanes, n, cars.x[e, v], cars.y[e, v])
-            truth[first + i].arc = where.city[e] + where.begin[n] + min(max(s, 0.0), where.reach[n])
-            truth[first + i].lane = lanes.table[n].side
+@jit(inline=True)
+def member_of(cars, v):  # type: ignore[no-untyped-def]
+    """Row of vehicle v of an environment among those that navigate, 0 for the ego; -1 for one without a slot."""
+    return 0 if v == 0 else cars[v].slot + 1 if cars[v].slot >= 0 else -1
 
 
 @jit(borrows=True)
-def begin_motion(first, last, rows, cars, lanes, where, step_s, before_s, motions, end, ahead, truth):  # type: ignore[no-untyped-def]
+def follow_motion(cars, motions):  # type: ignore[no-untyped-def]
+    """Take the true poses after a simulation step; motions (M,): of the navigating vehicles of an environment."""
+    for v in range(cars.shape[0]):
+        i = member_of(cars, v)
+        if 0 <= i < motions.shape[0]:
+            advance(motions[i], cars[v].x, cars[v].y, cars[v].heading)
+
+
+@jit(borrows=True)
+def fill_whereabouts(cars, lanes, where, e, truth):  # type: ignore[no-untyped-def]
+    """Fill arc and lane of the navigating vehicles of environment e, (M,) TRUTH."""
+    for v in range(cars.shape[0]):
+        i = member_of(cars, v)
+        if 0 <= i < truth.shape[0]:
+            n = cars[v].lane
+            s, _, _ = local(lanes, n, cars[v].x, cars[v].y)
+            truth[i].arc = where.city[e] + where.begin[n] + min(max(s, 0.0), where.reach[n])
+            truth[i].lane = lanes.table[n].side
+
+
+@jit(borrows=True)
+def begin_motion(  # type: ignore[no-untyped-def]
+    rows, cars, lanes, where, step_s, before_s, motions, end, ahead, truth
+):
     """Put the navigating vehicles of environments ``rows`` on a straight approach, ``before_s`` before their places.
 
     Row n of motions (n, M) MOTION, of end and ahead (n, M, 2), filled with the place [m] and the velocity [m/s] of
-    each,
-    and the rows n M and up of ``truth``, whose arcs and lanes are those of the places.
+    each, and the rows n M and up of ``truth``, whose arcs and lanes are those of the places.
     """
     count = motions.shape[1]
-    for n in range(first, last):
+    for n in range(rows.shape[0]):
         e = rows[n]
-        fill_whereabouts(cars, lanes, where, e, n * count, count, truth)
-        for v in range(cars.present[e]):
-            i = 0 if v == 0 else cars.slot[e, v] + 1
-            if (v == 0 or i > 0) and i < count:
-                m, speed, heading = motions[n, i], cars.speed[e, v], cars.heading[e, v]
-                cosine, sine = math.cos(heading), math.sin(heading)
-                end[n, i, 0], end[n, i, 1] = cars.x[e, v], cars.y[e, v]
-                ahead[n, i, 0], ahead[n, i, 1] = speed * cosine, speed * sine
-                m.heading_rad = m.start_heading_rad = heading
+        fill_whereabouts(cars[e], lanes, where, e, truth[n * count : (n + 1) * count])
+        for v in range(cars.shape[1]):
+            i, car = member_of(cars[e], v), cars[e, v]
+            if 0 <= i < count:
+                m, cosine, sine = motions[n, i], math.cos(car.heading), math.sin(car.heading)
+                end[n, i, 0], end[n, i, 1] = car.x, car.y
+                ahead[n, i, 0], ahead[n, i, 1] = car.speed * cosine, car.speed * sine
+                m.heading_rad = m.start_heading_rad = car.heading
                 for k in range(2):
                     m.position[k] = m.start[k] = end[n, i, k] - before_s * ahead[n, i, k]
-                    m.chord[k] = m.chord_before[k] = step_s * speed * (cosine if k == 0 else sine)
+                    m.chord[k] = m.chord_before[k] = step_s * car.speed * (cosine if k == 0 else sine)
                     m.start_velocity[k] = (1.5 * m.chord[k] - 0.5 * m.chord_before[k]) / step_s

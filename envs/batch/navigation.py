@@ -18,14 +18,12 @@ from lanebound.envs.batch import rows_kernel as rk
 from lanebound.envs.batch.belief_kernel import FIX
 from lanebound.envs.batch.lanes_kernel import Lanes
 from lanebound.envs.batch.motion_kernel import MOTION, Whereabouts, begin_motion, fill_motion
-from lanebound.envs.batch.records_kernel import Cars
 from lanebound.envs.batch.skies import Cities, Skies
 from lanebound.envs.batch.sky_ahead_kernel import Forecast, SkyRows
 from lanebound.envs.batch.streams import CrewStreams
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.records import azimuth_of, enu_of
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.streams import named_generator
@@ -45,6 +43,7 @@ OF_CONTEXT = ContextReport._fields[:4]
 OF_SOLUTION = tuple(name for name in FIX.names or () if name not in OF_CONTEXT)
 HEARD_S = 0.6  # of the approach with the radio on: the longest delay of a message
 FLEET_SEEDS = 2**62
+SENSE_US = 4.0  # of one thread for an environment, measured
 FLEET_STARTS = 2  # draws of the others' first positions: as they enter the world, and again for their approach
 
 
@@ -125,7 +124,8 @@ class NavigationBatch:
     motions : (N, M) MOTION
     sky : the skies over the egos at the last epoch
     where : the cities that they are in
-    measurements : of the last epoch, None before
+    measurements, solution : of the last epoch, None before
+    fixes : FIX (N M,) of the last solution
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class NavigationBatch:
         road_map: RoadMap | None = None,
     ) -> None:
         self.config, self.skies, self.cities, self.lanes = config, skies, cities, lanes
-        self._forecast = forecast
+        self.forecast = forecast
         self.count, self.vehicles, self.step_s, self.steps = count, vehicles, step_s, steps
         self.epoch_s = step_s * steps
         self.epochs_before = max(1, round(config.warm_up_s / self.epoch_s))
@@ -162,14 +162,11 @@ class NavigationBatch:
         self._hour, self._age = np.zeros((2, n), dtype=np.int64)  # age: epochs since the episode's start
         self.where: Whereabouts = self.cities.where(np.zeros(n, dtype=np.int64))
         self.sky: SkyRows = self.skies.empty(n)
-        self.sensed = self._bundle(self.sky)
         self._index: Rows | None = None
         self.measurements: Measurements | None = None
+        self.solution: Solution | None = None
+        self.fixes: Records = np.zeros(n * m, FIX)
         self._kept = np.arange(n)
-
-    def _bundle(self, sky: SkyRows) -> Bundle:
-        """What the kernels read of skies and cities."""
-        return Bundle(rk.Sensed(self.where, self._forecast, self.skies.table, sky))
 
     def another(self, count: int) -> NavigationBatch:
         """Navigators of ``count`` environments under the same skies, before any start."""
@@ -189,7 +186,7 @@ class NavigationBatch:
 
     # Starts
 
-    def begin(self, rows: Rows, seeds: Sequence[int], starts: Starts, cars: Cars, there: Flags) -> Approach:
+    def begin(self, rows: Rows, seeds: Sequence[int], starts: Starts, cars: Records, there: Flags) -> Approach:
         """Start the navigation of ``rows`` before their episodes; ``seeds`` draw all that is drawn.
 
         there (n, M - 1): places of the others that take part, by slot.
@@ -209,6 +206,7 @@ class NavigationBatch:
         else:
             self._take_over(rows, starter, motions, streams, np.arange(rows.size))
         self._age[rows], self._index = 0, None
+        rk.sky_rows(0, rows.size, rows, self.skies.table, self._hour, self.clock_s, self.sky)
         return approach
 
     def adopt(self, rows: Rows, other: NavigationBatch, theirs: Rows) -> None:
@@ -231,23 +229,21 @@ class NavigationBatch:
         return every
 
     def _approach(
-        self, rows: Rows, navigator: Navigator, motions: Records, starts: Starts, cars: Cars
+        self, rows: Rows, navigator: Navigator, motions: Records, starts: Starts, cars: Records
     ) -> Approach:  # fmt: skip
         """Drive all vehicles straight up to their starts, an epoch after another."""
         every, size, steps = np.arange(rows.size), motions.size, self.epochs_before * self.steps
         truth, heard = np.zeros(size, TRUTH), list[tuple[float, Solution]]()
         end, ahead = np.zeros((2, *motions.shape, 2))
         before_s = self.epochs_before * self.epoch_s
-        begin_motion(
-            0, rows.size, rows, cars, self.lanes, self.where, self.step_s, before_s, motions, end, ahead, truth
-        )
+        begin_motion(rows, cars, self.lanes, self.where, self.step_s, before_s, motions, end, ahead, truth)
         begin, known = motions["position"].copy(), _present(rows, cars, self.vehicles)
         known[:, 0] &= self.config.start is Start.TOLD  # the others have driven before
         present = np.flatnonzero(known)
         heading, noise = motions["heading_rad"].ravel()[present], starts.noise.reshape(-1, 3)[present]
         place_all(navigator, self.config, begin.reshape(-1, 2)[present], heading, noise, present)
         sky, index = self.skies.empty(rows.size), np.where(self._there[rows], every[:, None], rows.size).ravel()
-        hour, sensed = self._hour[rows], self._bundle(sky)
+        hour, hours = self._hour[rows], self.skies.table
         for step in range(1, steps + 1):
             last = end if step == steps else None
             rk.approach_step(0, rows.size, every, motions, begin, ahead, step * self.step_s, last)
@@ -255,10 +251,10 @@ class NavigationBatch:
                 continue
             ago = step // self.steps - self.epochs_before
             clock, time_s = self._clock_s(ago), ago * self.epoch_s
-            times = hour, np.full(rows.size, clock)
-            run_rows(rk.sky_rows, rows.size, every, sensed.handle, times, row_us=2.0)
+            run_rows(rk.sky_rows, rows.size, every, hours, hour, np.full(rows.size, clock), sky, row_us=2.0)
             fill_motion(motions, every, self.step_s, self._down, truth)
-            solution = self._locate(navigator, truth, self.skies.view(sky, index), clock)
+            self.measurements = navigator.measure(Truth.of(clock, self.epoch_s, truth), self.skies.view(sky, index))
+            solution = navigator.solve(self.measurements)
             if last is not None or (self.vehicles > 1 and -HEARD_S <= time_s < -0.5 * self.epoch_s):
                 heard.append((time_s, solution))
         return Approach(solution, heard)
@@ -282,40 +278,32 @@ class NavigationBatch:
 
     # Steps
 
-    def coast_link(self, rows: Rows, batch: Records, tracks: Records | None) -> Any:
-        """A simulation step has passed that ends no epoch, as a link."""
-        return rk.coast_rows, (rows, batch, self.motions, tracks)
-
-    def epoch_link(self, rows: Rows, batch: Records) -> tuple[Any, Records]:
-        """A simulation step has passed that ends an epoch, as a link, and the truth that it fills."""
+    def sense(self, rows: Rows, cars: Records, egos: Records) -> None:
+        """Measure the epoch that ends now: the motion of all vehicles since the last one, under the skies of now."""
         self._age += 1
-        truth, times = np.zeros(self.motions.size, TRUTH), (self._hour, self.clock_s)
-        return (rk.end_epoch, (rows, batch, self.sensed.handle, self.motions, self._down, times, truth)), truth
+        truth, clock_s = np.zeros(self.motions.size, TRUTH), self.clock_s
 
-    def navigate(self, rows: Rows, batch: Records) -> Solution:
-        """The whole of an epoch: its truth and skies, its measurements, and what follows from them."""
-        (kernel, arguments), truth = self.epoch_link(rows, batch)
-        kernel(0, rows.size, *arguments)
-        return self.locate(truth)
+        def work(first: int, last: int) -> None:
+            rk.end_epoch(
+                first, last, rows, cars, egos, self.motions, self.lanes, self.where, self.step_s, self._down, truth
+            )
+            rk.sky_rows(first, last, rows, self.skies.table, self._hour, clock_s, self.sky)
 
-    def locate(self, truth: Records) -> Solution:
-        """Measure an epoch, and locate all vehicles by the measurements alone."""
-        clock = self._clock_s(self.navigator.epoch + 1 - self._epochs_at_start)
-        return self._locate(self.navigator, truth, self.view(), clock)
+        run_rows(work, rows.size, row_us=SENSE_US)
+        now_s = self._clock_s(self.navigator.epoch + 1 - self._epochs_at_start)
+        self.measurements = self.navigator.measure(Truth.of(now_s, self.epoch_s, truth), self.view())
 
-    def _locate(self, navigator: Navigator, truth: Records, sky: Any, clock_s: float) -> Solution:
-        self.measurements = navigator.measure(Truth.of(clock_s, self.epoch_s, truth), sky)
-        return navigator.solve(self.measurements)
+    def locate(self) -> None:
+        """Locate all vehicles by the measurements alone."""
+        assert self.measurements is not None
+        self.solution = self.navigator.solve(self.measurements)
+        self.fixes = fixes_of(self.solution)
 
     def view(self) -> Any:
         """The skies over all vehicles at the last epoch; no satellites for a missing vehicle."""
         if self._index is None:
             self._index = np.where(self._there, self._kept[:, None], self.count).ravel()
         return self.skies.view(self.sky, self._index)
-
-    def sky_link(self, rows: Rows) -> Any:
-        """The skies over egos now, as a link."""
-        return rk.sky_rows, (rows, self.sensed.handle, (self._hour, self.clock_s))
 
     @property
     def time_s(self) -> Array:
@@ -360,12 +348,11 @@ def place_all(
     )
 
 
-def _present(rows: Rows, cars: Cars, vehicles: int) -> Flags:
+def _present(rows: Rows, cars: Records, vehicles: int) -> Flags:
     """Which of the navigating vehicles of environments there are, (n, M)."""
-    there = np.zeros((rows.size, vehicles), dtype=np.bool_)
-    for n, e in enumerate(rows.tolist()):
-        slots = cars.slot[e, 1 : cars.present[e]]
-        there[n, 0], there[n, slots[(slots >= 0) & (slots < vehicles - 1)] + 1] = True, True
+    there, slots = np.zeros((rows.size, vehicles), dtype=np.bool_), cars["slot"][rows]
+    n, v = np.nonzero((slots >= 0) & (slots < vehicles - 1))
+    there[:, 0] = there[n, slots[n, v] + 1] = True
     return there
 
 

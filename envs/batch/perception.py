@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch import perception_kernel as pk
 from lanebound.envs.batch import rows_kernel as rk
-from lanebound.envs.batch.records_kernel import PERCEIVED, Cars
+from lanebound.envs.batch.records_kernel import PERCEIVED
 from lanebound.envs.perception import PerceptionConfig
 from lanebound.integrity.core import streams_kernel as sk
+from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT, Streams
 
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 GIVEN = ("truth", "none")
+PERCEIVE_US = 6.0  # of one thread for an environment, measured
 
 
 def perceives(config: PerceptionConfig) -> bool:
@@ -111,7 +113,7 @@ class PerceptionBatch:
         p = self.pictures
         return p.picture, p.perceived, p.tracks, p.slots, *p.radio, self._there
 
-    def begin(self, rows: Rows, seeds: Sequence[int], there: Flags, cars: Cars) -> None:
+    def begin(self, rows: Rows, seeds: Sequence[int], there: Flags, cars: Records) -> None:
         """Start radios without messages and sensors without tracks, with the seeds of the episodes.
 
         there (n, C): places of others, by slot, that draw.
@@ -134,11 +136,11 @@ class PerceptionBatch:
             bias = np.empty((rows.size, 1))
             sk.normals(self._streams.states("sensor_bias"), rows, ZIGGURAT, bias)
             p.picture["bias_m"][rows] = self.config.sensor.lateral_bias_sigma_m * bias[:, 0]
-        slot = cars.slot[rows]
-        n, v = np.nonzero((slot >= 0) & (np.arange(slot.shape[1]) < cars.present[rows, None]))
+        slot = cars["slot"][rows]
+        n, v = np.nonzero(slot >= 0)
         e, s = rows[n], slot[n, v]
         p.slots["key"][e, s] = v
-        p.slots["length_m"][e, s], p.slots["width_m"][e, s] = cars.length[e, v], cars.width[e, v]
+        p.slots["length_m"][e, s], p.slots["width_m"][e, s] = cars["length"][e, v], cars["width"][e, v]
 
     def adopt(self, rows: Rows, other: PerceptionBatch, theirs: Rows) -> None:
         """Go on in ``rows`` with the draws of the egos ``theirs`` of another batch, whose arrays have been copied."""
@@ -161,22 +163,29 @@ class PerceptionBatch:
         pk.forget_slot(p.radio, p.tracks, 0, slot)
         p.slots[0, slot] = key, length_m, width_m
 
-    def links(
-        self, rows: Rows, at: Rows, time_s: Array, fixes: Records | None, batch: Records, lies: Array | None = None
-    ) -> list[Any]:
-        """One epoch of the egos ``rows`` (n,), as links.
+    def perceive(
+        self, rows: Rows, at: Rows, time_s: Array, fixes: Records | None, cars: Records, egos: Records,
+        lies: Array | None = None,
+    ) -> None:  # fmt: skip
+        """One epoch of the egos ``rows`` (n,).
 
         at (n,): rows of the egos in ``fixes``, after which those of the others follow by slot; time_s (n,) of the
-        episodes; batch: the bundle of the episodes; lies (C, 4): see :func:`.perception_kernel.hear`.
+        episodes; lies (C, 4): see :func:`.perception_kernel.hear`.
         """
-        out: list[Any] = []
-        if self.has_radio and fixes is not None:
-            out.append((rk.hear_rows, (rows, at, fixes, batch, time_s, self._draw("v2v", rows, 2), lies)))
-        if self.has_sensor:
-            out.append((rk.look_rows, (rows, batch, self._draw("sensor", rows, 4))))
-        if out:
-            out.append((rk.sum_up_rows, (rows, batch, time_s)))
-        return out
+        p, hears = self.pictures, self.has_radio and fixes is not None
+        if not (hears or self.has_sensor):
+            return
+        heard = self._draw("v2v", rows, 2) if hears else None
+        seen = self._draw("sensor", rows, 4) if self.has_sensor else None
+
+        def work(first: int, last: int) -> None:
+            if heard is not None:
+                rk.hear_rows(first, last, rows, at, fixes, cars, egos, p, time_s, heard, lies)
+            if seen is not None:
+                rk.look_rows(first, last, rows, cars, egos, p.picture, p.tracks, p.of_sensor, seen)
+            rk.sum_up_rows(first, last, rows, egos, p, time_s)
+
+        run_rows(work, rows.size, row_us=PERCEIVE_US)
 
     def _draw(self, name: str, rows: Rows, width: int) -> Array:
         """Draws (n, C + 1, width) for the vehicles there are, one after another, with zeros in empty places.

@@ -148,7 +148,7 @@ def claim(fix, c):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def hear(picture, radio, e, figures, time, claims, car, u, lies):  # type: ignore[no-untyped-def]
+def hear(picture, radio, e, figures, time, claims, cars, u, lies):  # type: ignore[no-untyped-def]
     """One epoch of the radio to one ego: send, carry, receive.
 
     claims (C,) CLAIM by slot; u (C + 1, 2) uniform draws; lies (C, 4): displacement East, North, up [m] and factor on
@@ -171,12 +171,12 @@ def hear(picture, radio, e, figures, time, claims, car, u, lies):  # type: ignor
             said.pl_ct_m *= lies[i, 3]
     if due > picture.sent:
         picture.sent = due
-        for v in range(1, car.present):
-            i = car.slot[v]
+        for v in range(1, cars.shape[0]):
+            i = cars[v].slot
             if i < 0 or i >= count or claims[i].sends == 0:
                 continue
             delay = figures.latency_s - figures.jitter_s * math.log1p(-u[i, 1])
-            x, y = (car.x[0] - car.x[v]) / figures.range_m, (car.y[0] - car.y[v]) / figures.range_m
+            x, y = (cars[0].x - cars[v].x) / figures.range_m, (cars[0].y - cars[v].y) / figures.range_m
             fade = min(x * x + y * y, 1.0)
             if delay <= figures.latency_max_s and u[i, 0] < (1.0 - figures.loss) * (1.0 - fade * fade):
                 wait = math.ceil(delay / figures.epoch_s - ROUNDING)
@@ -189,32 +189,32 @@ def hear(picture, radio, e, figures, time, claims, car, u, lies):  # type: ignor
 
 
 @jit(borrows=True)
-def in_sight(car, ahead, i):  # type: ignore[no-untyped-def]
+def in_sight(cars, ahead, i):  # type: ignore[no-untyped-def]
     """Whether the line from the middle of the ego to that of vehicle ``i`` crosses no third vehicle.
 
     Exact: a line and a rectangle are apart when their shadows on an axis of the rectangle, or on the normal of the
     line, are. ``ahead`` (V, 2) are the unit vectors of the headings.
     """
-    x, y = car.x[0], car.y[0]
-    line_x, line_y = car.x[i] - x, car.y[i] - y
-    for j in range(1, car.present):
-        if j == i or car.slot[j] < 0:
+    x, y = cars[0].x, cars[0].y
+    line_x, line_y = cars[i].x - x, cars[i].y - y
+    for j in range(1, cars.shape[0]):
+        if j == i or cars[j].slot < 0:
             continue
-        start_x, start_y = x - car.x[j], y - car.y[j]
+        start_x, start_y = x - cars[j].x, y - cars[j].y
         cos, sin = ahead[j, 0], ahead[j, 1]
         along, across = cos * line_x + sin * line_y, cos * line_y - sin * line_x
-        if abs(2.0 * (cos * start_x + sin * start_y) + along) > abs(along) + car.length[j]:
+        if abs(2.0 * (cos * start_x + sin * start_y) + along) > abs(along) + cars[j].length:
             continue
-        if abs(2.0 * (cos * start_y - sin * start_x) + across) > abs(across) + car.width[j]:
+        if abs(2.0 * (cos * start_y - sin * start_x) + across) > abs(across) + cars[j].width:
             continue
         twist = 2.0 * (start_x * line_y - start_y * line_x)
-        if abs(twist) <= abs(across) * car.length[j] + abs(along) * car.width[j]:
+        if abs(twist) <= abs(across) * cars[j].length + abs(along) * cars[j].width:
             return False
     return True
 
 
 @jit(borrows=True)
-def look(picture, tracks, figures, b, car, noise, ahead):  # type: ignore[no-untyped-def]
+def look(picture, tracks, figures, b, cars, noise, ahead):  # type: ignore[no-untyped-def]
     """One epoch of the sensor of one ego: tracks move with the ego's odometry, and those in sight are measured anew.
 
     So a jump of the ego's solution moves ego and tracks alike. Along and across the measured heading, which the line of
@@ -232,29 +232,29 @@ def look(picture, tracks, figures, b, car, noise, ahead):  # type: ignore[no-unt
         tracks[i].y_m += b.y_m - picture.last_y_m - south
         tracks[i].time_s += figures.epoch_s
     picture.last_x_m, picture.last_y_m = b.x_m, b.y_m
-    for v in range(1, car.present):
-        ahead[v, 0], ahead[v, 1] = math.cos(car.heading[v]), math.sin(car.heading[v])
-    for v in range(1, car.present):
-        gap_x, gap_y = car.x[v] - car.x[0], car.y[v] - car.y[0]
+    for v in range(1, cars.shape[0]):
+        ahead[v, 0], ahead[v, 1] = math.cos(cars[v].heading), math.sin(cars[v].heading)
+    for v in range(1, cars.shape[0]):
+        gap_x, gap_y = cars[v].x - cars[0].x, cars[v].y - cars[0].y
         distance = math.sqrt(gap_x * gap_x + gap_y * gap_y)
-        bearing = math.atan2(gap_y, gap_x) - car.heading[0]
+        bearing = math.atan2(gap_y, gap_x) - cars[0].heading
         off_axis = abs(bearing - 2.0 * math.pi * round(bearing / (2.0 * math.pi)))
-        if car.slot[v] < 0 or distance > figures.range_m or off_axis > figures.half_view_rad:
+        if cars[v].slot < 0 or distance > figures.range_m or off_axis > figures.half_view_rad:
             continue
-        if not in_sight(car, ahead, v):
+        if not in_sight(cars, ahead, v):
             continue
-        n, track = noise[car.slot[v]], tracks[car.slot[v]]
+        n, track = noise[cars[v].slot], tracks[cars[v].slot]
         r = distance + figures.range_sigma_m * n[0]
         line = b.heading_rad + bearing + figures.bearing_sigma_rad * n[1]
-        turned = car.heading[v] - car.heading[0]
+        turned = cars[v].heading - cars[0].heading
         heading = b.heading_rad + turned + figures.heading_sigma_rad * n[3]
         cos, sin = math.cos(line - heading), math.sin(line - heading)
         sigma_r, sigma_c = figures.range_sigma_m, abs(r) * figures.bearing_sigma_rad
         track.x_m = b.x_m + r * math.cos(line) - picture.bias_m * math.sin(b.heading_rad)
         track.y_m = b.y_m + r * math.sin(line) + picture.bias_m * math.cos(b.heading_rad)
         track.heading_rad = heading
-        doubt = (b.speed_mps - car.speed[0]) * math.cos(turned)
-        track.speed_mps = car.speed[v] + doubt + figures.speed_sigma_mps * n[2]
+        doubt = (b.speed_mps - cars[0].speed) * math.cos(turned)
+        track.speed_mps = cars[v].speed + doubt + figures.speed_sigma_mps * n[2]
         theta, sigma_y = heading - b.heading_rad, figures.lateral_bias_sigma_m
         along, across = sigma_y * math.sin(theta), sigma_y * math.cos(theta)
         track.pl_at_m = figures.bound_sigmas * math.hypot(math.hypot(sigma_r * cos, sigma_c * sin), along)
@@ -300,26 +300,26 @@ def sum_up(radio, tracks, slots, e, figures, time, b, square, seen):  # type: ig
 
 
 @jit(borrows=True)
-def see_truth(car, x, y, every, order, square, seen):  # type: ignore[no-untyped-def]
+def see_truth(cars, x, y, every, seen):  # type: ignore[no-untyped-def]
     """Fill ``seen`` (V - 1,) PERCEIVED with the others as they are, nearest to (x, y) first; returns how many.
 
-    Of two at one distance the first in the world comes first. ``every``: also those that have no slot. order and square
-    (V,) are scratch.
+    Of two at one distance the first in the world comes first. ``every``: also those that have no slot.
     """
     count = 0
-    for i in range(1, car.present):
-        if car.slot[i] < 0 and not every:
+    for i in range(1, cars.shape[0]):
+        if cars[i].slot < 0 and not every:
             continue
-        dx, dy = car.x[i] - x, car.y[i] - y
-        distance, at = dx * dx + dy * dy, count
-        while at > 0 and square[at - 1] > distance:
-            square[at], order[at] = square[at - 1], order[at - 1]
+        dx, dy = cars[i].x - x, cars[i].y - y
+        square, at = dx * dx + dy * dy, count
+        while at > 0 and seen[at - 1].age_s > square:  # the age holds the square of the distance until all are sorted
+            seen[at].age_s, seen[at].key = seen[at - 1].age_s, seen[at - 1].key
             at -= 1
-        square[at], order[at] = distance, i
+        seen[at].age_s, seen[at].key = square, i
         count += 1
     for n in range(count):
-        i, row = order[n], seen[n]
-        row.x_m, row.y_m, row.heading_rad, row.speed_mps = car.x[i], car.y[i], car.heading[i], car.speed[i]
+        row = seen[n]
+        car = cars[row.key]
+        row.x_m, row.y_m, row.heading_rad, row.speed_mps = car.x, car.y, car.heading, car.speed
         row.pl_at_m = row.pl_ct_m = row.age_s = 0.0
-        row.length_m, row.width_m, row.relative, row.key = car.length[i], car.width[i], 0, i
+        row.length_m, row.width_m, row.relative = car.length, car.width, 0
     return count

@@ -5,21 +5,12 @@ Frame ``xy`` of :mod:`lanebound.envs.records`: headings clockwise from x, offset
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
-
-from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.records import record
 
 __all__ = [
-    "BELIEF", "CAUSES", "COMMAND", "COST_FIGURES", "FACTS", "GIVEN", "OUTCOME", "PERCEIVED", "REWARD_WEIGHTS", "RULES",
-    "SCORE", "SENSED", "TERMS", "TRACK", "Cars", "Ego", "cars_of",
+    "BELIEF", "CAR", "CAUSES", "COMMAND", "COST_FIGURES", "EGO", "FACTS", "GIVEN", "OUTCOME", "PERCEIVED",
+    "REWARD_WEIGHTS", "RULES", "SCORE", "SENSED", "TERMS", "TRACK", "VIEW",
 ]  # fmt: skip
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 GIVEN, SENSED = 0, 1  # sources of the ego's position
 
@@ -32,50 +23,19 @@ CAUSES = (
 """Costs by cause."""
 
 
-class Cars(NamedTuple):
-    """The true vehicles, the ego first: of N environments (N, V) and ``present`` (N,), of one (V,) and a number.
-
-    present: number of vehicles, which are in the first places; x, y [m], heading [rad], speed [m/s]; length, width [m];
-    lane: row of the lane that a vehicle is on; crashed: 1 after a crash; slot: row of the vehicle in everything that
-    has a row for each of C slots, -1 for none; onward: row of the lane that its route goes on to, NONE where the lane
-    itself says so.
-    """
-
-    present: Rows
-    x: Array
-    y: Array
-    heading: Array
-    speed: Array
-    length: Array
-    width: Array
-    lane: Rows
-    crashed: Rows
-    slot: Rows
-    onward: Rows
-
-
-@jit(inline=True)
-def cars_of(cars, e):  # type: ignore[no-untyped-def]
-    """The vehicles of environment e."""
-    return Cars(
-        cars.present[e], cars.x[e], cars.y[e], cars.heading[e], cars.speed[e], cars.length[e], cars.width[e],
-        cars.lane[e], cars.crashed[e], cars.slot[e], cars.onward[e],
-    )  # fmt: skip
-
-
-class Ego(NamedTuple):
-    """What is known, commanded and scored of N egos: a record of each kind below for each.
-
-    ``shown``: BELIEF by which an agent observes; the belief itself unless an oracle shows the truth.
-    """
-
-    belief: Records
-    command: Records
-    score: Records
-    facts: Records
-    outcome: Records
-    shown: Records
-
+CAR = record(
+    x="middle [m]",
+    y="middle [m]",
+    heading="[rad]",
+    speed="[m/s]",
+    length="[m]",
+    width="[m]",
+    lane=("i8", "row of the lane that the vehicle is on"),
+    crashed=("i8", "1 after a crash"),
+    slot=("i8", "row in all that has a row for each of C slots; -1 for the ego, without a slot and in an empty place"),
+    onward=("i8", "row of the lane that its route goes on to, NONE where the lane itself says so"),
+)
+"""A true vehicle. Those of an environment are in the first places of its row, the ego first."""
 
 BELIEF = record(
     time_s="since the start of the episode",
@@ -213,6 +173,46 @@ OUTCOME = record(  # numbers, then what is true where positive, then codes: each
     mode="code of Mode",
     reason="code of AlertReason",
 )
+
+VIEW = record(
+    heading_sin="sine of the heading less the lane's",
+    heading_cos="cosine of the heading less the lane's",
+    lateral_share="lateral offset over half the lane's width",
+    lane_share="number of the lane over that of the road's last lane",
+    left_exists="1 when a lane that may be entered lies to the left",
+    right_exists="1 when a lane that may be entered lies to the right",
+    target_left="1 when a change to a lane on the left is commanded",
+    target_right="1 when a change to a lane on the right is commanded",
+    speed_limit_mps="of the lane, inf for none",
+    junction_m="to the end of the lane's own stretch of road",
+    lane_end_m="to where no lane goes on from this one",
+    pl_at_m="protection level along the track; 0 for an oracle",
+    pl_at_exists="1 when there is one",
+    ratio_at="level over limit, inf when missing",
+    margin_at_m="limit less level, -inf when missing",
+    trend_at_m="change of the clipped level over the window",
+    pl_ct_m="protection level across the track; 0 for an oracle",
+    pl_ct_exists="1 when there is one",
+    ratio_ct="level over limit, inf when missing",
+    margin_ct_m="limit less level, -inf when missing",
+    trend_ct_m="change of the clipped level over the window",
+    available="1 when the position is available; always for an oracle",
+    alert="1 while the alert is on; never for an oracle",
+    alert_age_s="how long the alert has been on",
+    reason="code of AlertReason",
+)
+EGO = record(
+    belief=(BELIEF, "what the ego believes"),
+    shown=(BELIEF, "by which an agent observes: the belief, or the truth for an oracle"),
+    own=(VIEW, "what an agent observes of the ego itself"),
+    track=(TRACK, "of a position that is sensed"),
+    command=(COMMAND, "what is commanded"),
+    score=(SCORE, "what scores remember"),
+    facts=(FACTS, "what the wrapped world says of the step"),
+    outcome=(OUTCOME, "what the step has come to"),
+    vehicles=("i8", "vehicles of the environment, the ego included: the first places of its row of cars"),
+)
+"""All that belongs to an environment as a whole."""
 
 PERCEIVED = record(
     x_m="brought forward to now",

@@ -1,192 +1,142 @@
-"""Entry kernels, each for environments ``rows[first:last]`` at the end of a simulation, epoch or policy step.
+"""Entry kernels, each for environments ``rows[first:last]``; the formulas are in the other files of this package.
 
-They are the links of ``call_links``; the formulas are in the other files of this package. ``batch`` is the handle of a
-bundle of :class:`Batch`, ``sensed`` that of :class:`Sensed`.
+cars (N, V) CAR; egos (N,) EGO; motions (N, M) MOTION of M navigating vehicles, the ego first, M = 0 where none
+navigates; lanes, routes: of the road network; rules (1,) RULES.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.envs.batch.belief_kernel import begin, coast, locate, settle, take, take_given
-from lanebound.envs.batch.lanes_kernel import Lanes
-from lanebound.envs.batch.motion_kernel import Whereabouts, advance, fill_motion, fill_whereabouts
-from lanebound.envs.batch.perception_kernel import PerceptionArrays, claim, hear, look, see_truth, sum_up
-from lanebound.envs.batch.records_kernel import Cars, Ego, cars_of
-from lanebound.envs.batch.route_map_kernel import RouteMap
+from lanebound.envs.batch.motion_kernel import advance, fill_motion, fill_whereabouts, follow_motion
+from lanebound.envs.batch.perception_kernel import claim, hear, look, see_truth, sum_up
+from lanebound.envs.batch.records_kernel import GIVEN
 from lanebound.envs.batch.score_kernel import count_epoch, score
-from lanebound.envs.batch.sky_ahead_kernel import Forecast, HourTable, SkyRows, fill_sky, predict
-from lanebound.envs.batch.view_kernel import ORACLE, Views, Words, derive, fill_frame, true_view
+from lanebound.envs.batch.sky_ahead_kernel import fill_sky, predict
+from lanebound.envs.batch.view_kernel import ORACLE, derive, fill_frame, true_view
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.bundle_kernel import unbundle
-from lanebound.integrity.core.records import Records
 
-__all__ = ["Batch", "Sensed", "approach_step", "begin_rows", "carry_on", "coast_rows", "count_rows", "end_epoch",
-           "finish_rows", "follow_motion", "give_rows", "hear_rows", "locate_rows", "look_rows", "predict_rows",
-           "sky_rows", "sum_up_rows", "take_rows"]  # fmt: skip
-
-
-class Batch(NamedTuple):
-    """N episodes: cars, beliefs of the egos, perceived vehicles, and observations.
-
-    rules (1,) RULES; lanes and routes of the egos' map; path_of (L,): row of the path from each lane by the present
-    route; sources (E,) SOURCE, words and frame (N, E) of observations; integrity: what of it is shown (FULL, BLIND,
-    ORACLE); sees_truth: 1 where traffic is perceived as it is.
-    """
-
-    cars: Cars
-    ego: Ego
-    pictures: PerceptionArrays
-    views: Views
-    words: Words
-    sources: Records
-    frame: NDArray[np.float32]
-    rules: Records
-    lanes: Lanes
-    routes: RouteMap
-    path_of: NDArray[np.int64]
-    integrity: int
-    sees_truth: int
-
-
-class Sensed(NamedTuple):
-    """Where N egos are under which skies: stations, the map's forecast, skies by hour and as they are now."""
-
-    where: Whereabouts
-    forecast: Forecast
-    hours: HourTable
-    sky: SkyRows
-
-
-@jit(borrows=True)
-def follow_motion(motions, cars, e):  # type: ignore[no-untyped-def]
-    """Take the true poses of the navigating vehicles of an environment after a simulation step."""
-    for v in range(cars.present[e]):
-        i = 0 if v == 0 else cars.slot[e, v] + 1
-        if (v == 0 or i > 0) and i < motions.shape[1]:
-            advance(motions[e, i], cars.x[e, v], cars.y[e, v], cars.heading[e, v])
-
-
-@jit(borrows=True)
-def carry_on(track, belief, lanes, rules):  # type: ignore[no-untyped-def]
-    """Carry a sensed pose on by a simulation step."""
-    coast(track, rules.step_s)
-    settle(track, belief, lanes, rules.step_s, rules)
+__all__ = ["approach_step", "begin_rows", "carry_on", "carry_rows", "count_rows", "end_epoch", "give_rows", "hear_rows",
+           "look_rows", "observe_rows", "predict_rows", "score_rows", "sky_rows", "sum_up_rows",
+           "take_rows"]  # fmt: skip
 
 
 # After a simulation step
 
 
 @jit(borrows=True)
-def give_rows(first, last, rows, batch, passed):  # type: ignore[no-untyped-def]
-    """A simulation step has passed for egos whose position is given; ``passed`` [s] is 0 at a start."""
-    a = unbundle(batch)
-    for n in range(first, last):
-        take_given(a.ego.belief[rows[n]], cars_of(a.cars, rows[n]), a.lanes, passed, a.rules[0])
+def carry_on(ego, cars, motions, lanes, rules, ends_epoch):  # type: ignore[no-untyped-def]
+    """Carry the belief of an ego on by a simulation step; at the end of an epoch a sensed one waits for its solution.
+
+    cars (v,) and motions (M,): of its environment.
+    """
+    if rules.source == GIVEN:
+        take_given(ego.belief, cars[0], lanes, rules.step_s, rules)
+    elif not ends_epoch:
+        coast(ego.track, rules.step_s)
+        settle(ego.track, ego.belief, lanes, rules.step_s, rules)
+    if motions.shape[0] > 0 and not ends_epoch:
+        follow_motion(cars, motions)
 
 
 @jit(borrows=True)
-def coast_rows(first, last, rows, batch, motions, tracks):  # type: ignore[no-untyped-def]
-    """A simulation step that ends no epoch; ``tracks``: None where the egos' positions are given."""
-    a = unbundle(batch)
-    for n in range(first, last):
-        follow_motion(motions, a.cars, rows[n])
-        if tracks is not None:
-            carry_on(tracks[rows[n]], a.ego.belief[rows[n]], a.lanes, a.rules[0])
+def carry_rows(first, last, rows, cars, egos, motions, lanes, rules, ends_epoch):  # type: ignore[no-untyped-def]
+    """A simulation step has passed."""
+    for e in rows[first:last]:
+        carry_on(egos[e], cars[e, : egos[e].vehicles], motions[e], lanes, rules[0], ends_epoch)
 
 
 # After an epoch
 
 
 @jit
-def end_epoch(first, last, rows, batch, sensed, motions, down, times, truth):  # type: ignore[no-untyped-def]
-    """A simulation step has passed that ends an epoch: the truth of the epoch, and the skies over the egos now.
+def end_epoch(first, last, rows, cars, egos, motions, lanes, where, step_s, down, truth):  # type: ignore[no-untyped-def]
+    """A simulation step has passed that ends an epoch: fill the truth (N M,) TRUTH of the epoch.
 
-    ``down`` [m/s]: what gravity adds over an epoch; times: see :func:`sky_rows`; truth (N M,) TRUTH.
+    ``down`` [m/s]: what gravity adds over an epoch.
     """
-    a, where, count = unbundle(batch), unbundle(sensed).where, motions.shape[1]
-    for n in range(first, last):
-        follow_motion(motions, a.cars, rows[n])
-        fill_whereabouts(a.cars, a.lanes, where, rows[n], rows[n] * count, count, truth)
-    fill_motion(motions, rows[first:last], a.rules[0].step_s, down, truth)
-    sky_rows(first, last, rows, sensed, times)
+    count = motions.shape[1]
+    for e in rows[first:last]:
+        here = cars[e, : egos[e].vehicles]
+        follow_motion(here, motions[e])
+        fill_whereabouts(here, lanes, where, e, truth[e * count : (e + 1) * count])
+    fill_motion(motions, rows[first:last], step_s, down, truth)
 
 
 @jit(borrows=True)
-def sky_rows(first, last, rows, sensed, times):  # type: ignore[no-untyped-def]
-    """The skies over environments; times: hour (N,), and time since its beginning (N,) [s]."""
-    a, (hour, clock) = unbundle(sensed), times
-    for n in range(first, last):
-        e = rows[n]
-        fill_sky(a.hours, hour[e], clock[e], e, a.sky)
+def sky_rows(first, last, rows, hours, hour, clock, sky):  # type: ignore[no-untyped-def]
+    """The skies over environments; hour (N,), and time since its beginning (N,) [s]."""
+    for e in rows[first:last]:
+        fill_sky(hours, hour[e], clock[e], e, sky)
 
 
 @jit(borrows=True)
-def begin_rows(first, last, rows, at, fixes, shift, tracks, batch):  # type: ignore[no-untyped-def]
+def give_rows(first, last, rows, cars, egos, lanes, rules):  # type: ignore[no-untyped-def]
+    """Start egos whose positions are given."""
+    for e in rows[first:last]:
+        take_given(egos[e].belief, cars[e, 0], lanes, 0.0, rules[0])
+
+
+@jit(borrows=True)
+def begin_rows(first, last, rows, at, fixes, shift, egos, lanes, rules):  # type: ignore[no-untyped-def]
     """Start egos at their first solutions, rows ``at`` (n,) of fixes; shift (n, 2): errors of their maps [m]."""
-    a = unbundle(batch)
     for n in range(first, last):
-        t, b = tracks[rows[n]], a.ego.belief[rows[n]]
-        begin(t, b, fixes[at[n]], shift[n, 0], shift[n, 1])
-        settle(t, b, a.lanes, 0.0, a.rules[0])
+        ego = egos[rows[n]]
+        begin(ego.track, ego.belief, fixes[at[n]], shift[n, 0], shift[n, 1])
+        settle(ego.track, ego.belief, lanes, 0.0, rules[0])
 
 
 @jit(borrows=True)
-def take_rows(first, last, rows, at, fixes, tracks, batch):  # type: ignore[no-untyped-def]
+def take_rows(first, last, rows, at, fixes, egos, lanes, rules):  # type: ignore[no-untyped-def]
     """New solutions of egos, rows ``at`` (n,) of fixes."""
-    a = unbundle(batch)
     for n in range(first, last):
-        t, b = tracks[rows[n]], a.ego.belief[rows[n]]
-        take(t, b, fixes[at[n]], a.rules[0])
-        settle(t, b, a.lanes, a.rules[0].step_s, a.rules[0])
+        ego = egos[rows[n]]
+        take(ego.track, ego.belief, fixes[at[n]], rules[0])
+        settle(ego.track, ego.belief, lanes, rules[0].step_s, rules[0])
 
 
 @jit(borrows=True)
-def count_rows(first, last, rows, batch):  # type: ignore[no-untyped-def]
+def count_rows(first, last, rows, cars, egos):  # type: ignore[no-untyped-def]
     """Count a navigation epoch of egos for scoring."""
-    a = unbundle(batch)
-    for n in range(first, last):
-        count_epoch(a.ego.belief[rows[n]], a.ego.score[rows[n]], cars_of(a.cars, rows[n]))
+    for e in rows[first:last]:
+        count_epoch(egos[e].belief, egos[e].score, cars[e, 0])
 
 
 @jit(borrows=True)
-def hear_rows(first, last, rows, at, fixes, batch, time, u, lies):  # type: ignore[no-untyped-def]
+def hear_rows(first, last, rows, at, fixes, cars, egos, pictures, time, u, lies):  # type: ignore[no-untyped-def]
     """One epoch of the radio: the other vehicles broadcast their solutions.
 
     Row ``at[n] + 1 + slot`` of fixes belongs to the vehicle in a slot of environment ``rows[n]``; time (n,): of the
     episodes; u (n, C + 1, 2) uniform draws; lies: see :func:`.perception_kernel.hear`.
     """
-    a = unbundle(batch)
-    p = a.pictures
+    p = pictures
     for n in range(first, last):
         e = rows[n]
         for i in range(p.spoken.shape[1]):
             claim(fixes[at[n] + 1 + i], p.spoken[e, i])
-        hear(p.picture[e], p.radio, e, p.of_radio[0], time[n], p.spoken[e], cars_of(a.cars, e), u[n], lies)
+        here = cars[e, : egos[e].vehicles]
+        hear(p.picture[e], p.radio, e, p.of_radio[0], time[n], p.spoken[e], here, u[n], lies)
 
 
 @jit
-def look_rows(first, last, rows, batch, noise):  # type: ignore[no-untyped-def]
-    """One epoch of the sensors; noise (n, C + 1, 4) standard normal."""
-    a = unbundle(batch)
-    p, ahead = a.pictures, np.empty((a.cars.x.shape[1], 2))
+def look_rows(first, last, rows, cars, egos, picture, tracks, figures, noise):  # type: ignore[no-untyped-def]
+    """One epoch of the sensors; picture (N,) PICTURE, tracks (N, C + 1), noise (n, C + 1, 4) standard normal."""
+    ahead = np.empty((cars.shape[1], 2))
     for n in range(first, last):
         e = rows[n]
-        look(p.picture[e], p.tracks[e], p.of_sensor[0], a.ego.belief[e], cars_of(a.cars, e), noise[n], ahead)
+        here = cars[e, : egos[e].vehicles]
+        look(picture[e], tracks[e], figures[0], egos[e].belief, here, noise[n], ahead)
 
 
 @jit
-def sum_up_rows(first, last, rows, batch, time):  # type: ignore[no-untyped-def]
+def sum_up_rows(first, last, rows, egos, pictures, time):  # type: ignore[no-untyped-def]
     """The vehicles that the egos perceive by radio and sensor at ``time`` (n,) of their episodes."""
-    a = unbundle(batch)
-    p, square = a.pictures, np.empty(a.pictures.perceived.shape[1] + 1)
+    p, square = pictures, np.empty(pictures.perceived.shape[1] + 1)
     for n in range(first, last):
         e = rows[n]
         p.picture[e].seen = sum_up(
-            p.radio, p.tracks[e], p.slots[e], e, p.of_tracks[0], time[n], a.ego.belief[e], square, p.perceived[e]
+            p.radio, p.tracks[e], p.slots[e], e, p.of_tracks[0], time[n], egos[e].belief, square, p.perceived[e]
         )
 
 
@@ -194,54 +144,51 @@ def sum_up_rows(first, last, rows, batch, time):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def locate_rows(first, last, rows, batch):  # type: ignore[no-untyped-def]
-    """Where the beliefs are on the egos' own maps, and what of them is shown."""
-    a = unbundle(batch)
-    for n in range(first, last):
-        e = rows[n]
-        locate(a.ego.belief[e], a.lanes, a.path_of, a.rules[0])
-        if a.integrity == ORACLE:
-            a.ego.shown[e] = a.ego.belief[e]
-            true_view(a.ego.belief[e], cars_of(a.cars, e), a.lanes, a.path_of, a.rules[0], a.ego.shown[e])
+def score_rows(  # type: ignore[no-untyped-def]
+    first, last, rows, cars, egos, picture, perceived, lanes, path_of, rules, sees_truth, integrity, start
+):
+    """Place the beliefs on the egos' own maps, score the step, or a start, and find what is shown of the egos.
+
+    picture (N,) PICTURE, perceived (N, P) PERCEIVED; path_of (L,): row of the path from each lane by the present route;
+    ``sees_truth``: traffic is perceived as it is; integrity: FULL, BLIND, or ORACLE, by which the truth is shown.
+    """
+    for e in rows[first:last]:
+        ego, here, seen = egos[e], cars[e, : egos[e].vehicles], perceived[e]
+        b = ego.belief
+        locate(b, lanes, path_of, rules[0])
+        if sees_truth:
+            picture[e].seen = see_truth(here, b.x_m, b.y_m, False, seen)
+        score(b, ego.score, here, seen, picture[e].seen, lanes, ego.facts, rules[0], start, ego.outcome)
+        ego.shown = b
+        if integrity == ORACLE:
+            true_view(here[0], lanes, path_of, rules[0], ego.shown)
 
 
 @jit
-def predict_rows(first, last, rows, batch, sensed):  # type: ignore[no-untyped-def]
-    """Satellites that the map predicts ahead of what is shown of the egos."""
-    a, s = unbundle(batch), unbundle(sensed)
-    cells = np.empty((2, a.words.sky.shape[1]), np.int64)
-    for n in range(first, last):
-        e = rows[n]
-        predict(a.ego.shown[e], a.lanes, a.routes, s.where, s.forecast, s.sky, e, cells, a.words.sky[e])
+def predict_rows(first, last, rows, egos, lanes, routes, where, forecast, sky, out):  # type: ignore[no-untyped-def]
+    """Satellites that the map predicts ahead of what is shown of the egos, out (N, 3 D)."""
+    cells = np.empty((2, out.shape[1]), np.int64)
+    for e in rows[first:last]:
+        predict(egos[e].shown, lanes, routes, where, forecast, sky, e, cells, out[e])
 
 
 @jit
-def finish_rows(first, last, rows, batch, start):  # type: ignore[no-untyped-def]
-    """Score and observe at the end of a policy step, or at a start."""
-    a = unbundle(batch)
-    every = a.cars.x.shape[1]
-    order, square, truth = np.empty(every, np.int64), np.empty(every), np.empty_like(a.pictures.perceived[0])
-    for n in range(first, last):
-        _finish(rows[n], a, start, order, square, truth)
-
-
-@jit(borrows=True)
-def _finish(e, a, start, order, square, truth):  # type: ignore[no-untyped-def]
-    """:func:`finish_rows` for one environment; order, square (V,) and truth (P,) PERCEIVED are scratch."""
-    car, b, sc, rules = cars_of(a.cars, e), a.ego.belief[e], a.ego.score[e], a.rules[0]
-    seen, picture = a.pictures.perceived[e], a.pictures.picture[e]
-    if a.sees_truth != 0:
-        picture.seen = see_truth(car, b.x_m, b.y_m, False, order, square, seen)
-    score(b, sc, car, seen, picture.seen, a.lanes, a.ego.facts[e], rules, start, a.ego.outcome[e])
-    count = picture.seen
-    if a.integrity == ORACLE:
-        seen = truth
-        count = see_truth(car, car.x[0], car.y[0], True, order, square, seen)
-    if start:
-        sc.observed = 0
-    derive(a.ego.shown[e], seen, count, a.lanes, a.routes, rules, a.integrity, sc.observed, e, a.views)
-    sc.observed += 1
-    fill_frame(a.sources, a.words, e, a.views.own[e], a.frame[e])
+def observe_rows(  # type: ignore[no-untyped-def]
+    first, last, rows, cars, egos, picture, perceived, views, words, sources, frame, lanes, routes, rules, integrity,
+    start,
+):  # fmt: skip
+    """Fill the frames (N, E) of observations; sources (E,) SOURCE; integrity: FULL, BLIND or ORACLE."""
+    truth = np.empty_like(perceived[0])
+    for e in rows[first:last]:
+        ego, seen, count = egos[e], perceived[e], picture[e].seen
+        if integrity == ORACLE:
+            here, seen = cars[e, : ego.vehicles], truth
+            count = see_truth(here, here[0].x, here[0].y, True, seen)
+        if start:
+            ego.score.observed = 0
+        derive(ego, seen, count, lanes, routes, rules[0], integrity, e, views)
+        ego.score.observed += 1
+        fill_frame(sources, words, e, ego.own, frame[e])
 
 
 # Before a start

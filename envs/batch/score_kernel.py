@@ -38,7 +38,7 @@ def _flag(condition):  # type: ignore[no-untyped-def]
 @jit(borrows=True)
 def _errors(b, car):  # type: ignore[no-untyped-def]
     """Estimate less truth along and across the true heading, forward and right positive."""
-    dx, dy, cosine, sine = b.x_m - car.x[0], b.y_m - car.y[0], math.cos(car.heading[0]), math.sin(car.heading[0])
+    dx, dy, cosine, sine = b.x_m - car.x, b.y_m - car.y, math.cos(car.heading), math.sin(car.heading)
     return cosine * dx + sine * dy, cosine * dy - sine * dx
 
 
@@ -66,57 +66,57 @@ def count_epoch(b, sc, car):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _allowed_mps(car, lanes, limit):  # type: ignore[no-untyped-def]
+def _allowed_mps(cars, lanes, limit):  # type: ignore[no-untyped-def]
     """Speed that the limit, the bend (``sqrt(a R)`` at a comfortable a) and the vehicle ahead allow, of the TRUE car.
 
     A vehicle in the lane counts that is nearer than ``FOLLOWING_S`` at the limit, with its own speed. With a wreck as
     near as that none counts: to wait behind it is no success.
     """
-    n, allowed, nearest, wreck = car.lane[0], limit, FOLLOWING_S * limit, False
+    n, allowed, nearest, wreck = cars[0].lane, limit, FOLLOWING_S * limit, False
     lane = lanes.table[n]
-    place, _, _ = local(lanes, n, car.x[0], car.y[0])
+    place, _, _ = local(lanes, n, cars[0].x, cars[0].y)
     if lane.advice_last > lane.advice_first:
         allowed = min(allowed, advised(lanes, n, place))
     elif lane.kind == CIRCLE:
         allowed = min(allowed, math.sqrt(COMFORT_MPS2 * lane.radius_m))
     half, flat, leader, near = 0.5 * width_at(lanes, n, place), lane.kind == STRAIGHT, allowed, nearest
-    for i in range(1, car.present):
-        s, r = straight(lane, car.x[i], car.y[i]) if flat else local(lanes, n, car.x[i], car.y[i])[:2]
+    for i in range(1, cars.shape[0]):
+        s, r = straight(lane, cars[i].x, cars[i].y) if flat else local(lanes, n, cars[i].x, cars[i].y)[:2]
         ahead = (s > place) & (abs(r) <= half)
-        wreck |= ahead & (s - place < near) & (car.crashed[i] != 0)
+        wreck |= ahead & (s - place < near) & (cars[i].crashed != 0)
         if ahead & (s - place < nearest):
-            nearest, leader = s - place, max(car.speed[i], 0.0)
+            nearest, leader = s - place, max(cars[i].speed, 0.0)
     return allowed if wreck else min(allowed, leader)
 
 
 @jit(borrows=True)
-def score(b, sc, car, seen, count, lanes, facts, rules, start, out):  # type: ignore[no-untyped-def]
+def score(b, sc, cars, seen, count, lanes, facts, rules, start, out):  # type: ignore[no-untyped-def]
     """The verdict on a step, or at a start, where no time has passed: fills ``out`` and remembers in ``sc``.
 
     ``seen``, ``count``: the vehicles that the ego perceives; ``facts``: ends and reward of the wrapped world.
     """
-    policy, speed = rules.policy_s, car.speed[0]
+    policy, speed = rules.policy_s, cars[0].speed
     dt = 0.0 if start else policy
-    lane = lanes.table[car.lane[0]]
+    lane = lanes.table[cars[0].lane]
     limit = lane.speed_limit_mps if lane.speed_limit_mps > 0.0 else rules.max_speed_mps
-    _s, r, direction = local(lanes, car.lane[0], car.x[0], car.y[0])
-    angle = wrap(car.heading[0] - direction)
+    _s, r, direction = local(lanes, cars[0].lane, cars[0].x, cars[0].y)
+    angle = wrap(cars[0].heading - direction)
     along, against = speed * math.cos(angle), abs(angle) > 0.5 * math.pi
     if start:
         begin_corridor(sc, b, lanes)
-        sc.heading_rad, sc.speed_mps = car.heading[0], speed
+        sc.heading_rad, sc.speed_mps = cars[0].heading, speed
     else:
-        follow_corridor(sc, b, car, lanes, rules, policy)
-        allowed = _allowed_mps(car, lanes, limit)
+        follow_corridor(sc, b, cars[0], lanes, rules, policy)
+        allowed = _allowed_mps(cars, lanes, limit)
         sc.progress_m += along * policy
         sc.allowed_m += allowed * policy
         sc.behind_m = max(sc.behind_m + (rules.success_share * allowed - along) * policy, 0.0)
         backwards = along < -CREEP_MPS or against
         sc.against_s = sc.against_s + policy if backwards else 0.0
-    out.yaw_rate_radps = remainder(car.heading[0] - sc.heading_rad) / policy
-    sc.heading_rad = car.heading[0]
-    _judge(b, sc, car, facts, against, limit, rules, out)
-    price(b, sc, car, seen, count, lanes, rules, dt, out)
+    out.yaw_rate_radps = remainder(cars[0].heading - sc.heading_rad) / policy
+    sc.heading_rad = cars[0].heading
+    _judge(b, sc, cars[0], facts, against, limit, rules, out)
+    price(b, sc, cars, seen, count, lanes, rules, dt, out)
     rough = math.hypot((speed - sc.speed_mps) / policy, speed * out.yaw_rate_radps) / COMFORT_MPS2
     sc.speed_mps = speed
     progress, w = min(max(along / limit, -1.0), 1.0) * dt, rules.rewards
@@ -133,7 +133,7 @@ def score(b, sc, car, seen, count, lanes, facts, rules, start, out):  # type: ig
 @jit(inline=True)
 def _judge(b, sc, car, facts, against, limit, rules, out):  # type: ignore[no-untyped-def]
     """What truth says of the step."""
-    crashed, on_road = car.crashed[0] != 0, facts.on_road != 0
+    crashed, on_road = car.crashed != 0, facts.on_road != 0
     over = facts.terminated != 0 or facts.truncated != 0
     out.crashed_now = _flag(crashed and sc.crashed == 0)
     sc.crashed = 1 if crashed or sc.crashed != 0 else 0

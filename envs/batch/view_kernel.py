@@ -1,8 +1,8 @@
 """Observations: the quantities of all entries, and the bounded frame that is made of them.
 
-:func:`derive` fills the records VIEW, AHEAD and BESIDE of an ego; :func:`fill_frame` picks the entries from these, from
-the belief and from the predicted sky, by the table that :mod:`..observation.index` declares, and scales and bounds
-them.
+:func:`derive` fills the records VIEW, AHEAD and BESIDE of an environment; :func:`fill_frame` picks the entries from
+these, from the belief and from the predicted sky, by the table that :mod:`..observation.index` declares, and scales
+and bounds them.
 """
 
 from __future__ import annotations
@@ -19,39 +19,12 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import Records, record
 
-__all__ = ["AHEAD", "BELIEF_NUMBER", "BELIEF_WHOLE", "BESIDE", "BLIND", "FULL", "ORACLE", "PREVIEW", "SKY", "SOURCE",
-           "VEHICLE", "VIEW", "VIEW_NUMBER", "Views", "Words", "derive", "fill_frame", "true_view"]  # fmt: skip
+__all__ = ["AHEAD", "BESIDE", "BLIND", "EGO_NUMBER", "EGO_WHOLE", "FULL", "ORACLE", "PREVIEW", "SKY", "SOURCE",
+           "VEHICLE", "Views", "Words", "derive", "fill_frame", "true_view"]  # fmt: skip
 
 FULL, BLIND, ORACLE = 0, 1, 2  # what is shown of integrity
 UNKNOWN = -math.inf  # a number of satellites that no map predicts
 
-VIEW = record(
-    heading_sin="sine of the heading less the lane's",
-    heading_cos="cosine of the heading less the lane's",
-    lateral_share="lateral offset over half the lane's width",
-    lane_share="number of the lane over that of the road's last lane",
-    left_exists="1 when a lane that may be entered lies to the left",
-    right_exists="1 when a lane that may be entered lies to the right",
-    target_left="1 when a change to a lane on the left is commanded",
-    target_right="1 when a change to a lane on the right is commanded",
-    speed_limit_mps="of the lane, inf for none",
-    junction_m="to the end of the lane's own stretch of road",
-    lane_end_m="to where no lane goes on from this one",
-    pl_at_m="protection level along the track; 0 for an oracle",
-    pl_at_exists="1 when there is one",
-    ratio_at="level over limit, inf when missing",
-    margin_at_m="limit less level, -inf when missing",
-    trend_at_m="change of the clipped level over the window",
-    pl_ct_m="protection level across the track; 0 for an oracle",
-    pl_ct_exists="1 when there is one",
-    ratio_ct="level over limit, inf when missing",
-    margin_ct_m="limit less level, -inf when missing",
-    trend_ct_m="change of the clipped level over the window",
-    available="1 when the position is available; always for an oracle",
-    alert="1 while the alert is on; never for an oracle",
-    alert_age_s="how long the alert has been on",
-    reason="code of AlertReason",
-)
 AHEAD = record(
     exists="1 where the map goes on so far ahead",
     ahead_m="point of the route's centreline, along the ego's heading",
@@ -80,7 +53,7 @@ BESIDE = record(
     pl_at_m="along the ego's heading: the ego's level and half the extent of the vehicle's own box",
     pl_ct_m="across the ego's heading: the ego's level and half the extent of the vehicle's own box",
 )
-BELIEF_NUMBER, BELIEF_WHOLE, VIEW_NUMBER, PREVIEW, SKY, VEHICLE = 0, 1, 2, 3, 4, 5  # blocks that entries come from
+EGO_NUMBER, EGO_WHOLE, PREVIEW, SKY, VEHICLE = 0, 1, 2, 3, 4  # blocks that entries come from
 SOURCE = record(
     block=("i8", "which block the entry comes from; -1 for an entry that is filled outside"),
     word=("i8", "which 8 bytes of the row of that block"),
@@ -94,25 +67,23 @@ SOURCE = record(
 class Words(NamedTuple):
     """The blocks of N environments as 8-byte words, the memory of the records: (N, words).
 
-    belief and belief_whole are the same memory, read as numbers and as whole numbers; own (VIEW); preview (N, D AHEAD);
-    sky (N, 3 D): satellites predicted on the lanes left, own and right, negative for unknown; vehicles (N, R BESIDE).
+    ego (EGO) and ego_whole are the same memory, read as numbers and as whole numbers; preview (N, D AHEAD); sky
+    (N, 3 D): satellites predicted on the lanes left, own and right, negative for unknown; vehicles (N, R BESIDE).
     """
 
-    belief: NDArray[np.float64]
-    belief_whole: NDArray[np.int64]
-    own: NDArray[np.float64]
+    ego: NDArray[np.float64]
+    ego_whole: NDArray[np.int64]
     preview: NDArray[np.float64]
     sky: NDArray[np.float64]
     vehicles: NDArray[np.float64]
 
 
 class Views(NamedTuple):
-    """What is derived for N environments: own (N,) VIEW, preview (N, D) AHEAD, vehicles (N, R) BESIDE; distances (D,).
+    """What is derived for N environments: preview (N, D) AHEAD, vehicles (N, R) BESIDE; distances (D,).
 
     trail (N, n + 1, 2): clipped levels of the last n observations.
     """
 
-    own: Records
     preview: Records
     vehicles: Records
     distances: NDArray[np.float64]
@@ -126,23 +97,24 @@ def _flag(condition):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def true_view(b, car, lanes, path_of, rules, view):  # type: ignore[no-untyped-def]
+def true_view(car, lanes, path_of, rules, view):  # type: ignore[no-untyped-def]
     """Make ``view``, a copy of the belief, that of an ego with perfect knowledge: the true pose and levels of 0."""
-    n = car.lane[0]
-    s, r, direction = local(lanes, n, car.x[0], car.y[0])
-    view.x_m, view.y_m, view.heading_rad, view.speed_mps = car.x[0], car.y[0], car.heading[0], car.speed[0]
+    n = car.lane
+    s, r, direction = local(lanes, n, car.x, car.y)
+    view.x_m, view.y_m, view.heading_rad, view.speed_mps = car.x, car.y, car.heading, car.speed
     view.lane, view.path, view.longitudinal_m, view.lateral_m = n, path_of[n], s, r
-    view.angle_rad, view.lane_width_m = wrap(car.heading[0] - direction), width_at(lanes, n, s)
+    view.angle_rad, view.lane_width_m = wrap(car.heading - direction), width_at(lanes, n, s)
     view.pl_at_m = view.pl_ct_m = 0.0
     if rules.meta == 0:
-        view.target_lane, view.target_speed_mps = n, car.speed[0]
+        view.target_lane, view.target_speed_mps = n, car.speed
 
 
 @jit(borrows=True)
-def derive(b, seen, count, lanes, routes, rules, shown, observed, e, views):  # type: ignore[no-untyped-def]
-    """Fill the view, the preview and the vehicles of environment e from a belief and the traffic perceived."""
-    _derive_ego(b, lanes, routes, views.own[e])
-    _derive_levels(b, rules, shown, observed, views.trail[e], views.own[e])
+def derive(ego, seen, count, lanes, routes, rules, shown, e, views):  # type: ignore[no-untyped-def]
+    """Fill the view, the preview and the vehicles of environment e from what is shown of its ego and of the traffic."""
+    b = ego.shown
+    _derive_ego(b, lanes, routes, ego.own)
+    _derive_levels(b, rules, shown, ego.score.observed, views.trail[e], ego.own)
     cosine, sine = math.cos(b.heading_rad), math.sin(b.heading_rad)
     for n in range(views.distances.shape[0]):
         _derive_point(b, lanes, routes, cosine, sine, b.longitudinal_m + views.distances[n], views.preview[e, n])
@@ -248,22 +220,20 @@ def _derive_nobody(row):  # type: ignore[no-untyped-def]
 def fill_frame(sources, words, e, view, frame):  # type: ignore[no-untyped-def]
     """Fill ``frame`` (E,) float32 of environment e: ``clip(field / scale, low, high)``, field by field.
 
-    sources (E,) SOURCE; ``view``: VIEW of the environment, by which predictions on missing lanes are left out.
+    sources (E,) SOURCE; ``view``: VIEW of its ego, by which predictions on missing lanes are left out.
     """
     for n in range(frame.shape[0]):
         source = sources[n]
         block, word = source.block, source.word
         value = 0.0
-        if block == VIEW_NUMBER:
-            value = words.own[e, word]
+        if block == EGO_NUMBER:
+            value = words.ego[e, word]
         elif block == VEHICLE:
             value = words.vehicles[e, word]
         elif block == PREVIEW:
             value = words.preview[e, word]
-        elif block == BELIEF_NUMBER:
-            value = words.belief[e, word]
-        elif block == BELIEF_WHOLE:
-            value = float(words.belief_whole[e, word])
+        elif block == EGO_WHOLE:
+            value = float(words.ego_whole[e, word])
         elif block == SKY:
             value = words.sky[e, word]
             side = word % 3

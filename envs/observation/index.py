@@ -4,7 +4,7 @@ An entry is ``clip(quantity / scale, low, high)``, float32, never NaN or infinit
 missing quantity: a missing protection level is 1 with its ``exists`` flag 0.
 
 The source of an entry names a field of a record: ``belief.speed_mps`` (BELIEF of :mod:`..batch.records_kernel`),
-``view.ratio_at`` (VIEW of :mod:`..batch.view_kernel`), ``preview[2].ahead_m`` (AHEAD at the third preview distance),
+``view.ratio_at`` (VIEW of the same), ``preview[2].ahead_m`` (AHEAD at the third preview distance),
 ``sky[4]`` (satellites predicted: left, own and right lane of each distance in turn), ``vehicle[0].age_s`` (BESIDE of
 the nearest vehicle). ``belief.mode == 2`` is 1 where the code has that value. A new entry is a line here; a quantity
 that is in no record needs a field in VIEW or BESIDE and its formula there first.
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch import view_kernel as vk
 from lanebound.envs.batch.ego_kernel import STEERING_MOST_RAD
-from lanebound.envs.batch.records_kernel import BELIEF
+from lanebound.envs.batch.records_kernel import BELIEF, EGO, VIEW
 from lanebound.envs.observation.config import ObservationConfig
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest, require_registered
@@ -358,7 +358,9 @@ def group_slices(config: ObservationConfig) -> dict[str, slice]:
 # Sources, as the kernel reads them
 
 SOURCE = re.compile(r"(\w+)(?:\[(\d+)\])?(?:\.(\w+))?(?: == (-?\d+))?")
-BLOCKS = {"view": (vk.VIEW_NUMBER, vk.VIEW), "preview": (vk.PREVIEW, vk.AHEAD), "vehicle": (vk.VEHICLE, vk.BESIDE)}
+BLOCKS = {"belief": (vk.EGO_NUMBER, BELIEF, "shown"), "view": (vk.EGO_NUMBER, VIEW, "own"),
+          "preview": (vk.PREVIEW, vk.AHEAD, ""), "vehicle": (vk.VEHICLE, vk.BESIDE, "")}  # fmt: skip
+"""Of each name: block, record, and the field of EGO that holds it."""
 WORD = 8  # bytes
 
 
@@ -376,19 +378,21 @@ def _word_of(source: str) -> tuple[int, int, float]:
     name, row, field, code = match[1], int(match[2] or 0), match[3], nan if match[4] is None else float(match[4])
     if name == "sky" and field is None:
         return vk.SKY, row, code
-    if name != "belief" and name not in BLOCKS:
-        known = ("belief", *BLOCKS, "sky")
+    if name not in BLOCKS:
+        known = (*BLOCKS, "sky")
         raise InputError(f"source must name one of {', '.join(known)}, got {source!r}: {nearest(name, known)}")
-    block, record = BLOCKS.get(name, (vk.BELIEF_NUMBER, BELIEF))
+    block, record, held = BLOCKS[name]
     fields: Mapping[str, Any] = record.fields or {}
     if field not in fields:
         raise InputError(
             f"source must name a field of {name}, got {source!r}: {nearest(str(field), record.names or ())}"
         )
     kind, offset = fields[field][:2]
-    if name == "belief" and kind.kind == "i":
-        block = vk.BELIEF_WHOLE
-    return block, (row * record.itemsize + offset) // WORD, code
+    if kind.kind == "i":
+        block = vk.EGO_WHOLE
+    ego: Mapping[str, Any] = EGO.fields or {}
+    begin = ego[held][1] if held else row * record.itemsize
+    return block, (begin + offset) // WORD, code
 
 
 def sources_of(index: tuple[Entry, ...]) -> Records:

@@ -33,25 +33,25 @@ WALKING_MPS = 1.0  # slower vehicles do not change lanes
 
 
 @jit(inline=True)
-def place_all(car, lanes, places):  # type: ignore[no-untyped-def]
+def place_all(v, lanes, places):  # type: ignore[no-untyped-def]
     """Fill ``places`` (V, L): how far along each lane every vehicle is, ``NOWHERE_M`` where it is not."""
-    for i in range(car.present):
-        stations(lanes, car.x[i], car.y[i], BESIDE_M, places[i])
+    for i in range(v.x.shape[0]):
+        stations(lanes, v.x[i], v.y[i], BESIDE_M, places[i])
 
 
 @jit(borrows=True)
-def _along(car, lanes, places, lane, i):  # type: ignore[no-untyped-def]
+def _along(v, lanes, places, lane, i):  # type: ignore[no-untyped-def]
     """How far along a lane a vehicle is, where the lane does not hold it too."""
     s = places[i, lane]
     if s == NOWHERE_M:
-        s, _, _ = local(lanes, lane, car.x[i], car.y[i])
+        s, _, _ = local(lanes, lane, v.x[i], v.y[i])
     return s
 
 
 @jit(borrows=True)
-def _gap(car, lanes, places, i, j):  # type: ignore[no-untyped-def]
+def _gap(v, lanes, places, i, j):  # type: ignore[no-untyped-def]
     """How far vehicle j is ahead of i, along the lane of i."""
-    return _along(car, lanes, places, car.lane[i], j) - _along(car, lanes, places, car.lane[i], i)
+    return _along(v, lanes, places, v.lane[i], j) - _along(v, lanes, places, v.lane[i], i)
 
 
 @jit(borrows=True)
@@ -66,10 +66,10 @@ def _place(table, places, lane, j):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _neighbours(car, lanes, places, lane, i):  # type: ignore[no-untyped-def]
+def _neighbours(v, lanes, places, lane, i):  # type: ignore[no-untyped-def]
     """The vehicles next ahead of and behind vehicle i on a lane and those that it joins, -1 for none."""
-    s, front, rear, front_m, rear_m = _along(car, lanes, places, lane, i), -1, -1, math.inf, NOWHERE_M
-    for j in range(car.present):
+    s, front, rear, front_m, rear_m = _along(v, lanes, places, lane, i), -1, -1, math.inf, NOWHERE_M
+    for j in range(v.x.shape[0]):
         if j == i:
             continue
         place = _place(lanes.table, places, lane, j)
@@ -81,93 +81,93 @@ def _neighbours(car, lanes, places, lane, i):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _follow(car, drv, lanes, places, i, front, delta):  # type: ignore[no-untyped-def]
+def _follow(v, lanes, places, i, front, delta):  # type: ignore[no-untyped-def]
     """IDM's acceleration of vehicle i behind another one, -1 for none."""
-    a = free(car.speed[i], wanted_speed(drv, i, lanes.table[car.lane[i]].speed_limit_mps), delta, CALM)
+    a = free(v.speed[i], wanted_speed(v, i, lanes.table[v.lane[i]].speed_limit_mps), delta, CALM)
     if front >= 0:
-        a -= braking(car, drv, i, front, _gap(car, lanes, places, i, front), CALM)
+        a -= braking(v, i, front, _gap(v, lanes, places, i, front), CALM)
     return a
 
 
 @jit(borrows=True)
-def _bend(car, lanes, places, i):  # type: ignore[no-untyped-def]
+def _bend(v, lanes, places, i):  # type: ignore[no-untyped-def]
     """The acceleration that leads to the speed advised for where the driver will be after its reaction time."""
-    speed = car.speed[i]
-    s = _along(car, lanes, places, car.lane[i], i) + max(speed, 0.0) * REACTION_S
-    return (advised(lanes, car.lane[i], s) - speed) / REACTION_S
+    speed = v.speed[i]
+    s = _along(v, lanes, places, v.lane[i], i) + max(speed, 0.0) * REACTION_S
+    return (advised(lanes, v.lane[i], s) - speed) / REACTION_S
 
 
 @jit(inline=True)
-def decide_all(car, drv, lanes, places, ego_has_target):  # type: ignore[no-untyped-def]
+def decide_all(v, lanes, places, ego_has_target):  # type: ignore[no-untyped-def]
     """The decisions of all drivers one after the other: later ones see the new targets of those before."""
-    for i in range(1, car.present):
-        if car.crashed[i] != 0:
+    for i in range(1, v.x.shape[0]):
+        if v.crashed[i] != 0:
             continue
-        drv.target[i] = following(lanes, drv.target[i], car.x[i], car.y[i])
-        if car.lane[i] != drv.target[i]:
-            _give_up(car, drv, lanes, places, i, 0 if ego_has_target else 1)
-        elif drv.timer[i] > CALM.delay_s:
-            drv.timer[i] = 0.0
-            _consider(car, drv, lanes, places, i)
-        _accelerate(car, drv, lanes, places, i)
+        v.target[i] = following(lanes, v.target[i], v.x[i], v.y[i])
+        if v.lane[i] != v.target[i]:
+            _give_up(v, lanes, places, i, 0 if ego_has_target else 1)
+        elif v.timer[i] > CALM.delay_s:
+            v.timer[i] = 0.0
+            _consider(v, lanes, places, i)
+        _accelerate(v, lanes, places, i)
 
 
 @jit(borrows=True)
-def _give_up(car, drv, lanes, places, i, first):  # type: ignore[no-untyped-def]
+def _give_up(v, lanes, places, i, first):  # type: ignore[no-untyped-def]
     """Return to the own lane when a vehicle close ahead is changing into the same one."""
-    goal = drv.target[i]
-    if lanes.table[goal].road != lanes.table[car.lane[i]].road:
+    goal = v.target[i]
+    if lanes.table[goal].road != lanes.table[v.lane[i]].road:
         return
-    for j in range(first, car.present):
-        if j != i and drv.target[j] == goal and car.lane[j] != goal:
-            if 0.0 < _gap(car, lanes, places, i, j) < gap_wanted(car, drv, i, j, CALM):
-                drv.target[i] = car.lane[i]
+    for j in range(first, v.x.shape[0]):
+        if j != i and v.target[j] == goal and v.lane[j] != goal:
+            if 0.0 < _gap(v, lanes, places, i, j) < gap_wanted(v, i, j, CALM):
+                v.target[i] = v.lane[i]
                 return
 
 
 @jit(borrows=True)
-def _consider(car, drv, lanes, places, i):  # type: ignore[no-untyped-def]
+def _consider(v, lanes, places, i):  # type: ignore[no-untyped-def]
     """MOBIL without politeness, left before right: the last lane that is worth it is taken."""
-    if abs(car.speed[i]) < WALKING_MPS:
+    if abs(v.speed[i]) < WALKING_MPS:
         return
-    own, table, delta = car.lane[i], lanes.table, drv.delta[i]
+    own, table, delta = v.lane[i], lanes.table, v.delta[i]
     for turn in (-1, 1):
         lane = own + turn
         if not 0 <= table[own].side + turn < table[own].count:
             continue
-        s, r, _ = local(lanes, lane, car.x[i], car.y[i])
+        s, r, _ = local(lanes, lane, v.x[i], v.y[i])
         if not reachable(lanes, lane, s, r):
             continue
-        there, follower = _neighbours(car, lanes, places, lane, i)
-        if follower >= 0 and _follow(car, drv, lanes, places, follower, i, delta) < -BRAKING_IMPOSED:
+        there, follower = _neighbours(v, lanes, places, lane, i)
+        if follower >= 0 and _follow(v, lanes, places, follower, i, delta) < -BRAKING_IMPOSED:
             continue
-        here, _ = _neighbours(car, lanes, places, own, i)
-        bend = _bend(car, lanes, places, i)
-        gain = min(_follow(car, drv, lanes, places, i, there, delta), bend) - min(
-            _follow(car, drv, lanes, places, i, here, delta), bend
+        here, _ = _neighbours(v, lanes, places, own, i)
+        bend = _bend(v, lanes, places, i)
+        gain = min(_follow(v, lanes, places, i, there, delta), bend) - min(
+            _follow(v, lanes, places, i, here, delta), bend
         )
         if not gain < CALM.gain:
-            drv.target[i] = lane
+            v.target[i] = lane
 
 
 @jit(borrows=True)
-def _accelerate(car, drv, lanes, places, i):  # type: ignore[no-untyped-def]
+def _accelerate(v, lanes, places, i):  # type: ignore[no-untyped-def]
     """A driver's acceleration, by the vehicle ahead in its lane and in the one that it changes to."""
-    front, _ = _neighbours(car, lanes, places, car.lane[i], i)
-    a = min(_follow(car, drv, lanes, places, i, front, drv.delta[i]), _bend(car, lanes, places, i))
-    if car.lane[i] != drv.target[i]:
-        front, _ = _neighbours(car, lanes, places, drv.target[i], i)
-        a = min(a, _follow(car, drv, lanes, places, i, front, drv.delta[i]))
-    drv.acceleration[i] = min(max(a, -ACC_MOST), ACC_MOST)
+    front, _ = _neighbours(v, lanes, places, v.lane[i], i)
+    a = min(_follow(v, lanes, places, i, front, v.delta[i]), _bend(v, lanes, places, i))
+    if v.lane[i] != v.target[i]:
+        front, _ = _neighbours(v, lanes, places, v.target[i], i)
+        a = min(a, _follow(v, lanes, places, i, front, v.delta[i]))
+    v.acceleration[i] = min(max(a, -ACC_MOST), ACC_MOST)
 
 
 @jit(inline=True)
-def drive_city(car, drv, lanes, dt):  # type: ignore[no-untyped-def]
+def drive_city(v, lanes, dt):  # type: ignore[no-untyped-def]
     """One step of all others; braking ends at standstill."""
-    for i in range(1, car.present):
+    for i in range(1, v.x.shape[0]):
         steering, a = 0.0, 0.0
-        if car.crashed[i] == 0:
-            steering = steer_along(car, drv, lanes, i)
-            a = max(drv.acceleration[i], -car.speed[i] / dt)
-        drv.timer[i] += dt
-        roll(car, drv, i, steering, a, -SPEED_MOST_MPS, SPEED_MOST_MPS, lanes, dt)
+        if v.crashed[i] == 0:
+            steering = steer_along(v, lanes, i)
+            a = max(v.acceleration[i], -v.speed[i] / dt)
+        v.timer[i] += dt
+        roll(v, i, steering, a, -SPEED_MOST_MPS, SPEED_MOST_MPS, lanes, dt)

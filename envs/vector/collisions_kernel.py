@@ -31,19 +31,19 @@ def _reach(nx, ny, cosine, sine, length, width):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def collide(car, drv, i, j, dt):  # type: ignore[no-untyped-def]
+def collide(v, i, j, dt):  # type: ignore[no-untyped-def]
     """Let two vehicles meet: those that overlap have crashed, those that will within ``dt`` part half the way each."""
-    dx, dy = car.x[i] - car.x[j], car.y[i] - car.y[j]
-    swept_x = (car.speed[i] * drv.cos[i] - car.speed[j] * drv.cos[j]) * dt
-    swept_y = (car.speed[i] * drv.sin[i] - car.speed[j] * drv.sin[j]) * dt
+    dx, dy = v.x[i] - v.x[j], v.y[i] - v.y[j]
+    swept_x = (v.speed[i] * v.cos[i] - v.speed[j] * v.cos[j]) * dt
+    swept_y = (v.speed[i] * v.sin[i] - v.speed[j] * v.sin[j]) * dt
     now, soon, least, axis_x, axis_y = True, True, math.inf, 0.0, 0.0
     for side in range(8):
         k, flip = i if side < 4 else j, -1.0 if side % 4 >= 2 else 1.0
         across = side % 2 == 1
-        nx = flip * (-drv.sin[k] if across else -drv.cos[k])
-        ny = flip * (drv.cos[k] if across else -drv.sin[k])
-        half_i = _reach(nx, ny, drv.cos[i], drv.sin[i], car.length[i], car.width[i])
-        half_j = _reach(nx, ny, drv.cos[j], drv.sin[j], car.length[j], car.width[j])
+        nx = flip * (-v.sin[k] if across else -v.cos[k])
+        ny = flip * (v.cos[k] if across else -v.sin[k])
+        half_i = _reach(nx, ny, v.cos[i], v.sin[i], v.length[i], v.width[i])
+        half_j = _reach(nx, ny, v.cos[j], v.sin[j], v.length[j], v.width[j])
         centre = nx * dx + ny * dy
         low, high = centre - half_i, centre + half_i
         if _apart(low, high, -half_j, half_j) > 0.0:
@@ -63,57 +63,57 @@ def collide(car, drv, i, j, dt):  # type: ignore[no-untyped-def]
             sign = 1.0 if centre > 0.0 else -1.0
             axis_x, axis_y = sign * nx, sign * ny
     if soon:
-        drv.impact_x[i], drv.impact_y[i] = 0.5 * least * axis_x, 0.5 * least * axis_y
-        drv.impact_x[j], drv.impact_y[j] = -0.5 * least * axis_x, -0.5 * least * axis_y
-        drv.struck[i] = drv.struck[j] = 1
+        v.impact_x[i], v.impact_y[i] = 0.5 * least * axis_x, 0.5 * least * axis_y
+        v.impact_x[j], v.impact_y[j] = -0.5 * least * axis_x, -0.5 * least * axis_y
+        v.struck[i] = v.struck[j] = 1
     if now:
-        car.crashed[i] = car.crashed[j] = 1
+        v.crashed[i] = v.crashed[j] = 1
 
 
 @jit(inline=True)
-def _near(car, i, j, dt, diagonal):  # type: ignore[no-untyped-def]
+def _near(v, i, j, dt, diagonal):  # type: ignore[no-untyped-def]
     """Whether a pair is looked at: middles nearer than the diagonals and the way of the first vehicle in a step."""
-    dx, dy = car.x[j] - car.x[i], car.y[j] - car.y[i]
-    reach = diagonal + car.speed[i] * dt
+    dx, dy = v.x[j] - v.x[i], v.y[j] - v.y[i]
+    reach = diagonal + v.speed[i] * dt
     return reach >= 0.0 and dx * dx + dy * dy <= reach * reach
 
 
 @jit(inline=True)
-def _diagonal(car):  # type: ignore[no-untyped-def]
+def _diagonal(v):  # type: ignore[no-untyped-def]
     """Of all vehicles: those of compiled traffic are as large as the ego."""
-    return math.sqrt(car.length[0] ** 2 + car.width[0] ** 2)
+    return math.sqrt(v.length[0] ** 2 + v.width[0] ** 2)
 
 
 @jit(inline=True)
-def collide_all(car, drv, dt):  # type: ignore[no-untyped-def]
+def collide_all(v, dt):  # type: ignore[no-untyped-def]
     """All pairs of an environment."""
-    diagonal = _diagonal(car)
-    for i in range(car.present - 1):
-        for j in range(i + 1, car.present):
-            if _near(car, i, j, dt, diagonal):
-                collide(car, drv, i, j, dt)
+    diagonal = _diagonal(v)
+    for i in range(v.x.shape[0] - 1):
+        for j in range(i + 1, v.x.shape[0]):
+            if _near(v, i, j, dt, diagonal):
+                collide(v, i, j, dt)
 
 
 @jit(inline=True)
-def collide_sorted(car, drv, dt, pairs):  # type: ignore[no-untyped-def]
+def collide_sorted(v, dt, pairs):  # type: ignore[no-untyped-def]
     """All pairs, where ``order`` is that along x: the search for partners ends where no vehicle can be near any more.
 
     ``pairs`` (P,) is scratch; with more vehicles than fit all pairs are looked at.
     """
-    count = car.present
+    count = v.x.shape[0]
     if count * count > 2 * pairs.shape[0]:
-        collide_all(car, drv, dt)
+        collide_all(v, dt)
         return
-    found, diagonal = 0, _diagonal(car)
+    found, diagonal = 0, _diagonal(v)
     reach = diagonal + (SPEED_MOST_MPS + SPARE_MPS) * dt
     for a in range(count - 1):
-        k = drv.order[a]
+        k = v.order[a]
         for b in range(a + 1, count):
-            m = drv.order[b]
-            if car.x[m] - car.x[k] > reach:
+            m = v.order[b]
+            if v.x[m] - v.x[k] > reach:
                 break
             i, j = min(k, m), max(k, m)
-            if _near(car, i, j, dt, diagonal):
+            if _near(v, i, j, dt, diagonal):
                 key, at = i << FIRST_BITS | j, found
                 while at > 0 and pairs[at - 1] > key:
                     pairs[at] = pairs[at - 1]
@@ -121,4 +121,4 @@ def collide_sorted(car, drv, dt, pairs):  # type: ignore[no-untyped-def]
                 pairs[at] = key
                 found += 1
     for a in range(found):
-        collide(car, drv, pairs[a] >> FIRST_BITS, pairs[a] & (1 << FIRST_BITS) - 1, dt)
+        collide(v, pairs[a] >> FIRST_BITS, pairs[a] & (1 << FIRST_BITS) - 1, dt)

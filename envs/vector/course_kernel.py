@@ -9,11 +9,11 @@ __all__ = ["drive_profiles"]
 
 
 @jit(inline=True)
-def drive_profiles(car, drv, lanes, profile, step, dt):  # type: ignore[no-untyped-def]
+def drive_profiles(v, lanes, profile, step, dt):  # type: ignore[no-untyped-def]
     """Vehicles 1 and up drive to the speed that ``profile`` (S,) [m/s] has for the end of step number ``step``."""
-    for i in range(1, car.present):
+    for i in range(1, v.x.shape[0]):
         steering, a = 0.0, 0.0
-        if car.crashed[i] == 0:
-            steering = steer_along(car, drv, lanes, i)
-            a = (profile[min(step, profile.shape[0] - 1)] - car.speed[i]) / dt
-        roll(car, drv, i, steering, a, -SPEED_MOST_MPS, SPEED_MOST_MPS, lanes, dt)
+        if v.crashed[i] == 0:
+            steering = steer_along(v, lanes, i)
+            a = (profile[min(step, profile.shape[0] - 1)] - v.speed[i]) / dt
+        roll(v, i, steering, a, -SPEED_MOST_MPS, SPEED_MOST_MPS, lanes, dt)

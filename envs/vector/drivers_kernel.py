@@ -15,110 +15,172 @@ from lanebound.envs.batch.ego_kernel import actuate, intend, steering_rad
 from lanebound.envs.batch.lanes_kernel import following, nearest
 from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M, WANDER_SHAPES, WANDER_SLOPE
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import record
 
-__all__ = ["SPEED_MOST_MPS", "Drivers", "clear", "command_ego", "drivers_of", "move_ego", "roll", "seat", "steer_along",
-           "wander_all"]  # fmt: skip
-
-SPEED_MOST_MPS = 40.0  # Vehicle.MAX_SPEED of highway-env
+__all__ = ["DRIVER", "NUMBERS", "SPEED_MOST_MPS", "WHOLES", "Vehicles", "clear", "command_ego", "load", "move_ego",
+           "roll", "seat", "show", "steer_along", "store", "vehicles_in", "wander_all"]  # fmt: skip
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
+SPEED_MOST_MPS = 40.0  # Vehicle.MAX_SPEED of highway-env
 
-class Drivers(NamedTuple):
-    """State of the vehicles' control, of N environments (N, V), of one (V,).
+DRIVER = record(
+    cos="of the heading",
+    sin="of the heading",
+    target_speed="[m/s]",
+    timer="since a lane change was last considered [s]",
+    delta="exponent of the acceleration",
+    impact_x="displacement by a crash [m]",
+    impact_y="displacement by a crash [m]",
+    aside="line of the vehicle in its lane, to the right of the middle [m]",
+    target=("i8", "row of the target lane"),
+    struck=("i8", "1 from a crash to the next step"),
+    order=("i8", "the vehicle in this place along the road, which need not be this one"),
+    wander=("f8", (WANDER_SHAPES,), "weights of the shapes of its line over time, see :mod:`..worlds.wander`"),
+)
+"""State of the control of a vehicle of compiled traffic."""
 
-    aside [m]: the line of a vehicle in its lane, to the right of the middle; wander (N, K, V) [-]: its weights
-    of the rows of ``TrafficBatch.wander``, see :mod:`..worlds.wander`.
 
-    cos, sin: of the heading; target_speed [m/s]; timer [s]: since a lane change was last considered; delta: exponent of
-    the acceleration; acceleration [m/s2]: command; impact_x, impact_y [m]: displacement by a crash; target: row of the
-    target lane; struck: 1 from a crash to the next step; order: vehicles sorted along the road; rank: place in it;
-    front: vehicle in front in the own lane, -1 for none.
+class Vehicles(NamedTuple):
+    """The vehicles of one environment while they drive, (v,) plain arrays, wander (K, V).
+
+    Fields of CAR and DRIVER, and of a step: acceleration [m/s2]; rank: place along the road; front: vehicle in front in
+    the own lane, -1 for none. In plain arrays the compiler takes several vehicles at once; on records a step of a
+    motorway took a third longer.
     """
 
+    x: Array
+    y: Array
+    heading: Array
+    speed: Array
+    length: Array
+    width: Array
     cos: Array
     sin: Array
     target_speed: Array
     timer: Array
     delta: Array
-    acceleration: Array
     impact_x: Array
     impact_y: Array
     aside: Array
+    acceleration: Array
+    wander: Array
+    lane: Rows
+    crashed: Rows
     target: Rows
     struck: Rows
     order: Rows
     rank: Rows
     front: Rows
-    wander: Array
+
+
+NUMBERS, WHOLES = 15 + WANDER_SHAPES, 7
+"""Rows of the memory of Vehicles: of numbers, and of whole numbers."""
 
 
 @jit(inline=True)
-def drivers_of(drivers, e):  # type: ignore[no-untyped-def]
-    """The vehicles of environment e."""
-    return Drivers(
-        drivers.cos[e], drivers.sin[e], drivers.target_speed[e], drivers.timer[e], drivers.delta[e],
-        drivers.acceleration[e], drivers.impact_x[e], drivers.impact_y[e], drivers.aside[e], drivers.target[e],
-        drivers.struck[e], drivers.order[e], drivers.rank[e], drivers.front[e], drivers.wander[e],
+def vehicles_in(numbers, wholes, count):  # type: ignore[no-untyped-def]
+    """The Vehicles in the first places of numbers (NUMBERS, V) and wholes (WHOLES, V)."""
+    n, w, k = numbers, wholes, count  # slices of single rows are contiguous for the compiler
+    return Vehicles(
+        n[0, :k], n[1, :k], n[2, :k], n[3, :k], n[4, :k], n[5, :k], n[6, :k], n[7, :k], n[8, :k], n[9, :k], n[10, :k],
+        n[11, :k], n[12, :k], n[13, :k], n[14, :k], n[15:],
+        w[0, :k], w[1, :k], w[2, :k], w[3, :k], w[4, :k], w[5, :k], w[6, :k],
     )  # fmt: skip
 
 
 @jit(borrows=True)
-def clear(car, drv, length, width):  # type: ignore[no-untyped-def]
-    """Empty places, for vehicles of one size."""
-    for i in range(car.x.shape[0]):
-        car.x[i] = car.y[i] = car.heading[i] = car.speed[i] = 0.0
-        car.length[i], car.width[i] = length, width
-        car.lane[i] = car.crashed[i] = 0
-        drv.target_speed[i] = drv.timer[i] = drv.delta[i] = drv.acceleration[i] = 0.0
-        drv.impact_x[i] = drv.impact_y[i] = drv.aside[i] = 0.0
-        drv.target[i] = drv.struck[i] = drv.rank[i] = drv.front[i] = 0
+def load(cars, drivers, v):  # type: ignore[no-untyped-def]
+    """Take the vehicles from their records."""
+    for i in range(cars.shape[0]):
+        car, driver = cars[i], drivers[i]
+        v.x[i], v.y[i], v.heading[i], v.speed[i] = car.x, car.y, car.heading, car.speed
+        v.length[i], v.width[i], v.lane[i], v.crashed[i] = car.length, car.width, car.lane, car.crashed
+        v.cos[i], v.sin[i], v.target_speed[i], v.timer[i] = driver.cos, driver.sin, driver.target_speed, driver.timer
+        v.delta[i], v.impact_x[i], v.impact_y[i] = driver.delta, driver.impact_x, driver.impact_y
+        v.aside[i], v.target[i], v.struck[i], v.order[i] = driver.aside, driver.target, driver.struck, driver.order
+        for k in range(WANDER_SHAPES):
+            v.wander[k, i] = driver.wander[k]
 
 
 @jit(borrows=True)
-def seat(car, drv, count):  # type: ignore[no-untyped-def]
+def show(v, cars):  # type: ignore[no-untyped-def]
+    """Write what may be seen of vehicles into their records."""
+    for i in range(cars.shape[0]):
+        car = cars[i]
+        car.x, car.y, car.heading, car.speed = v.x[i], v.y[i], v.heading[i], v.speed[i]
+        car.lane, car.crashed = v.lane[i], v.crashed[i]
+
+
+@jit(borrows=True)
+def store(v, cars, drivers):  # type: ignore[no-untyped-def]
+    """Write all that lasts into the records."""
+    show(v, cars)
+    for i in range(cars.shape[0]):
+        driver = drivers[i]
+        driver.cos, driver.sin, driver.target_speed, driver.timer = v.cos[i], v.sin[i], v.target_speed[i], v.timer[i]
+        driver.impact_x, driver.impact_y, driver.aside = v.impact_x[i], v.impact_y[i], v.aside[i]
+        driver.target, driver.struck, driver.order = v.target[i], v.struck[i], v.order[i]
+
+
+@jit(borrows=True)
+def clear(cars, drivers, length, width):  # type: ignore[no-untyped-def]
+    """Empty places, for vehicles of one size."""
+    for i in range(cars.shape[0]):
+        car, driver = cars[i], drivers[i]
+        car.x = car.y = car.heading = car.speed = 0.0
+        car.length, car.width = length, width
+        car.lane = car.crashed = 0
+        driver.target_speed = driver.timer = driver.delta = 0.0
+        driver.impact_x = driver.impact_y = driver.aside = 0.0
+        driver.target = driver.struck = 0
+
+
+@jit(borrows=True)
+def seat(cars, drivers, count):  # type: ignore[no-untyped-def]
     """What follows from the poses of ``count`` vehicles at a start: slots, order, cosines and sines."""
-    for i in range(car.x.shape[0]):
-        car.slot[i] = i - 1 if i < count else -1
-        drv.order[i] = i
-        drv.cos[i], drv.sin[i] = math.cos(car.heading[i]), math.sin(car.heading[i])
+    for i in range(cars.shape[0]):
+        cars[i].slot = i - 1 if i < count else -1
+        drivers[i].order = i
+        drivers[i].cos, drivers[i].sin = math.cos(cars[i].heading), math.sin(cars[i].heading)
 
 
 @jit(inline=True)
-def command_ego(b, command, car, drv, lanes, rules):  # type: ignore[no-untyped-def]
+def command_ego(ego, v, lanes, rules):  # type: ignore[no-untyped-def]
     """Steering, acceleration and holding brake of the ego in this step; the others read off what it intends.
 
     A car that is commanded directly has no intent: the lane it wants is its own, the speed it wants 0.
     """
+    b, command, length = ego.belief, ego.command, v.length[0]
     if rules.meta != 0:
         b.target_lane = following(lanes, b.target_lane, b.x_m, b.y_m)
         onward = lanes.table[b.target_lane].onward
-        steering, acceleration = intend(b, lanes, onward, rules, car.length[0])
-        drv.target[0], drv.target_speed[0] = b.target_lane, b.target_speed_mps
+        steering, acceleration = intend(b, lanes, onward, rules, length)
+        v.target[0], v.target_speed[0] = b.target_lane, b.target_speed_mps
     else:
         steering, acceleration = command.steering_rad, command.acceleration_mps2
-        drv.target[0], drv.target_speed[0] = car.lane[0], 0.0
-    steering, hold = actuate(b, command, steering, acceleration, car.length[0], rules)
+        v.target[0], v.target_speed[0] = v.lane[0], 0.0
+    steering, hold = actuate(b, command, steering, acceleration, length, rules)
     return steering, acceleration, hold
 
 
 @jit(inline=True)
-def move_ego(car, drv, steering, acceleration, hold, slowest, fastest, lanes, dt):  # type: ignore[no-untyped-def]
+def move_ego(v, steering, acceleration, hold, world, lanes, dt):  # type: ignore[no-untyped-def]
     """One step of the physical ego; the holding brake works against the true motion of the wheels."""
     if hold > 0.0:
-        acceleration = min(max(-car.speed[0] / dt, -hold), hold)
-    roll(car, drv, 0, steering, acceleration, slowest, fastest, lanes, dt)
+        acceleration = min(max(-v.speed[0] / dt, -hold), hold)
+    roll(v, 0, steering, acceleration, world.speed_least_mps, world.speed_most_mps, lanes, dt)
 
 
 @jit(borrows=True)
-def roll(car, drv, i, steering, acceleration, slowest, fastest, lanes, dt):  # type: ignore[no-untyped-def]
+def roll(v, i, steering, acceleration, slowest, fastest, lanes, dt):  # type: ignore[no-untyped-def]
     """One step of a car by highway-env's bicycle model, held between two speeds; a wreck brakes.
 
     A vehicle that was struck is thrown as well, and has crashed.
     """
-    speed = car.speed[i]
-    if car.crashed[i] != 0:
+    speed = v.speed[i]
+    if v.crashed[i] != 0:
         steering, acceleration = 0.0, -speed
     if speed > fastest:
         acceleration = min(acceleration, fastest - speed)
@@ -126,38 +188,36 @@ def roll(car, drv, i, steering, acceleration, slowest, fastest, lanes, dt):  # t
         acceleration = max(acceleration, slowest - speed)
     slip = math.atan(0.5 * math.tan(steering))
     cosine, sine = math.cos(slip), math.sin(slip)
-    car.x[i] += speed * (drv.cos[i] * cosine - drv.sin[i] * sine) * dt
-    car.y[i] += speed * (drv.sin[i] * cosine + drv.cos[i] * sine) * dt
-    if drv.struck[i] != 0:
-        car.x[i] += drv.impact_x[i]
-        car.y[i] += drv.impact_y[i]
-        car.crashed[i], drv.struck[i] = 1, 0
-    heading = car.heading[i] + speed * sine / (0.5 * car.length[i]) * dt
-    car.speed[i] = speed + acceleration * dt
-    if heading != car.heading[i]:
-        car.heading[i] = heading
-        drv.cos[i], drv.sin[i] = math.cos(heading), math.sin(heading)
-    car.lane[i] = nearest(lanes, car.x[i], car.y[i], heading)
+    v.x[i] += speed * (v.cos[i] * cosine - v.sin[i] * sine) * dt
+    v.y[i] += speed * (v.sin[i] * cosine + v.cos[i] * sine) * dt
+    if v.struck[i] != 0:
+        v.x[i] += v.impact_x[i]
+        v.y[i] += v.impact_y[i]
+        v.crashed[i], v.struck[i] = 1, 0
+    heading = v.heading[i] + speed * sine / (0.5 * v.length[i]) * dt
+    v.speed[i] = speed + acceleration * dt
+    if heading != v.heading[i]:
+        v.heading[i] = heading
+        v.cos[i], v.sin[i] = math.cos(heading), math.sin(heading)
+    v.lane[i] = nearest(lanes, v.x[i], v.y[i], heading)
 
 
 @jit(inline=True)
-def steer_along(car, drv, lanes, i):  # type: ignore[no-untyped-def]
+def steer_along(v, lanes, i):  # type: ignore[no-untyped-def]
     """highway-env's steering angle of vehicle i to its line in the lane that it wants."""
-    return steering_rad(
-        lanes, drv.target[i], car.x[i], car.y[i], car.heading[i], car.speed[i], car.length[i], drv.aside[i]
-    )
+    return steering_rad(lanes, v.target[i], v.x[i], v.y[i], v.heading[i], v.speed[i], v.length[i], v.aside[i])
 
 
 @jit(inline=True)
-def wander_all(car, drv, shape, dt):  # type: ignore[no-untyped-def]
+def wander_all(v, shape, dt):  # type: ignore[no-untyped-def]
     """Move the lines of all others in their lanes towards ``shape . weights``, as fast as their cars may move aside.
 
-    shape (K,): the row of ``TrafficBatch.wander`` of the end of this step.
+    shape (K,): the row of ``TrafficFigures.wander`` of the end of this step.
     """
-    for i in range(1, car.present):
+    for i in range(1, v.x.shape[0]):
         line = 0.0
         for k in range(WANDER_SHAPES):  # a constant, so that the compiler takes several vehicles at once
-            line += shape[k] * drv.wander[k, i]
-        most = WANDER_SLOPE * max(car.speed[i], 0.0) * dt
-        wanted = min(max(line, -WANDER_MOST_M), WANDER_MOST_M) - drv.aside[i]
-        drv.aside[i] += min(max(wanted, -most), most)
+            line += shape[k] * v.wander[k, i]
+        most = WANDER_SLOPE * max(v.speed[i], 0.0) * dt
+        wanted = min(max(line, -WANDER_MOST_M), WANDER_MOST_M) - v.aside[i]
+        v.aside[i] += min(max(wanted, -most), most)

@@ -12,20 +12,16 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.ego_kernel import FASTER, IDLE, LEFT, RIGHT, SLOWER
-from lanebound.envs.batch.episodes import Episodes
+from lanebound.envs.batch.episodes import Episodes, copy_rows
 from lanebound.envs.batch.lanes_kernel import PAST_END_M
-from lanebound.envs.batch.navigation import fixes_of
-from lanebound.envs.batch.records_kernel import cars_of
 from lanebound.envs.core import EPISODE_SEEDS, WORLD_SEEDS, DrivingEnv
 from lanebound.envs.scene import begin_all, duration_s, make_batch
-from lanebound.envs.vector.drive_kernel import TrafficBatch
-from lanebound.envs.vector.drivers_kernel import Drivers, drivers_of
+from lanebound.envs.vector.drive_kernel import TrafficFigures
+from lanebound.envs.vector.drivers_kernel import DRIVER
 from lanebound.envs.vector.start_kernel import clear_rows, seat_rows
 from lanebound.envs.vector.support import require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
-from lanebound.envs.worlds.idm_parameters_kernel import WANDER_SHAPES
-from lanebound.integrity.core.accel import call_links, run_rows
-from lanebound.integrity.core.bundle_kernel import Bundle, RowCopier
+from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT
@@ -33,8 +29,9 @@ from lanebound.integrity.core.streams import ZIGGURAT
 __all__ = ["Engine"]
 
 Rows = NDArray[np.int64]
-VEHICLE_FRAME_US, FINISH_US, EPOCH_US = 0.06, 5.0, 4.0  # of one thread, measured
+VEHICLE_FRAME_US = 0.06  # of one thread, measured
 PREPARED = 8  # episodes at least that are prepared together; up to so many take hardly longer than one
+NO_CODES = np.zeros(0, dtype=np.int64)
 META_CODES = {"LANE_LEFT": LEFT, "IDLE": IDLE, "LANE_RIGHT": RIGHT, "FASTER": FASTER, "SLOWER": SLOWER}
 
 
@@ -44,33 +41,30 @@ class Stage:
     Attributes
     ----------
     episodes : beliefs and scores of the egos
-    traffic : state of the vehicles beyond their poses, and parameters of their motion
-    bundle : the traffic as an argument of kernels
+    drivers : (N, V) DRIVER, state of the vehicles beyond their poses
+    traffic : parameters of their motion
     """
 
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
-        n, vehicles = episodes.cars.x.shape
-        numbers: list[Any] = [np.zeros((n, vehicles)) for _ in range(9)]
-        wholes: list[Any] = [np.zeros((n, vehicles), dtype=np.int64) for _ in range(5)]
-        weights = np.zeros((n, WANDER_SHAPES, vehicles))
-        profile = np.zeros((n, engine.support.profile_steps(engine.single.world)))
-        self.episodes = episodes
-        drivers = Drivers(*[*numbers, *wholes, weights])
-        self.traffic = TrafficBatch(drivers, engine.world, engine.speeds, profile, engine.wander)
-        self.bundle = Bundle(self.traffic)
-        arrays, count = (*episodes.arrays, *self.traffic.drivers, profile), engine.count
-        self._copiers = [RowCopier(tuple(a[k : k + count] for a in arrays)) for k in range(0, n, count)]
+        profile = np.zeros((len(episodes.cars), engine.support.profile_steps(engine.single.world)))
+        self.episodes, self.drivers = episodes, np.zeros(episodes.cars.shape, DRIVER)
+        self.traffic = TrafficFigures(engine.world, engine.speeds, profile, engine.wander)
+
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """Those of the traffic that have a row for each environment."""
+        return self.drivers, self.traffic.profile
 
     @property
     def nbytes(self) -> int:
         """Memory of all this."""
-        moved = *self.traffic.drivers, self.traffic.profile
-        return self.episodes.nbytes + sum(array.nbytes for array in moved)
+        return self.episodes.nbytes + sum(array.nbytes for array in self.arrays)
 
     def adopt(self, rows: Rows, other: Stage, k: int) -> None:
         """Continue in environments ``rows`` with their k-th episodes of a stage of waiting ones."""
-        self._copiers[0].copy(rows, other._copiers[k])
-        self.episodes.adopt(rows, other.episodes, rows + k * self.episodes.cars.present.size)
+        theirs = rows + k * len(self.drivers)
+        copy_rows(self.arrays, rows, other.arrays, theirs)
+        self.episodes.adopt(rows, other.episodes, theirs)
 
 
 class Engine:
@@ -102,7 +96,7 @@ class Engine:
     def __init__(self, single: DrivingEnv, count: int) -> None:
         require_supported(single)
         self.single, self.count, self.support = single, count, support_of(single.config)
-        self._drive = traffic_of(self.support)
+        self._kernel = traffic_of(self.support)
         config, inner = single.config, single.world.action_type
         self.frames = config.simulation_hz // config.policy_hz
         meta = isinstance(inner, DiscreteMetaAction)
@@ -132,12 +126,12 @@ class Engine:
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the functions of the world."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("support", "_drive", "_start")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("support", "_kernel", "_start")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self.support = support_of(self.single.config)
-        self._drive = traffic_of(self.support)
+        self._kernel = traffic_of(self.support)
         self._start = self.support.starter(self.single.world, self.episodes.table)
 
     def _world(self) -> Any:
@@ -157,12 +151,12 @@ class Engine:
     @property
     def outcome(self) -> Records:
         """(N,) OUTCOME of the last step."""
-        return self.episodes.ego.outcome
+        return self.episodes.ego["outcome"]
 
     @property
-    def drivers(self) -> Drivers:
-        """State of the vehicles beyond their poses."""
-        return self._stage.traffic.drivers
+    def drivers(self) -> Records:
+        """(N, V) DRIVER, state of the vehicles beyond their poses."""
+        return self._stage.drivers
 
     @property
     def bytes_per_environment(self) -> int:
@@ -204,66 +198,62 @@ class Engine:
         episodes, seeds_of_episodes = stage.episodes, [episode for episode, _ in drawn]
         self._line_up(stage, rows, seeds_of_episodes, [world for _, world in drawn])
         begin_all(episodes, rows, seeds_of_episodes)
-        speeds, speed = self.speeds, episodes.cars.speed[rows, 0]
+        speeds, speed = self.speeds, episodes.cars["speed"][rows, 0]
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
         nearest = np.minimum(np.maximum(np.rint(share * (speeds.size - 1)), 0), speeds.size - 1).astype(np.int64)
-        episodes.ego.belief["target_speed_mps"][rows] = speeds[nearest]
-        links = [self._judge_link(stage, rows, start=True), *episodes.finish_links(rows, start=True)]
-        run_rows(call_links, rows.size, links, row_us=FINISH_US)
-        episodes.fill_extra(rows)
+        episodes.ego["belief"]["target_speed_mps"][rows] = speeds[nearest]
+        self._judge(episodes, rows, start=True)
+        episodes.score(rows, start=True)
+        episodes.observe(rows, start=True)
         for row in rows.tolist():
             del self._drawn[waits, row]
 
     def _line_up(self, stage: Stage, rows: Rows, seeds: list[int], world_seeds: list[int]) -> None:
         """Put the vehicles of environments where the generator of their world draws them, and others on their lines."""
-        cars, drivers, profile = stage.episodes.cars, stage.traffic.drivers, stage.traffic.profile
-        batch, traffic, wander = stage.episodes.batch, stage.bundle.handle, self.single.config.wander
-        clear_rows(rows, batch, traffic, Vehicle.LENGTH, Vehicle.WIDTH)
+        cars, ego, drivers, traffic = stage.episodes.cars, stage.episodes.ego, stage.drivers, stage.traffic
+        wander = self.single.config.wander
+        clear_rows(rows, cars, drivers, Vehicle.LENGTH, Vehicle.WIDTH)
         for e, seed in zip(rows.tolist(), world_seeds, strict=True):
-            own, theirs = cars_of.py_func(cars, e), drivers_of.py_func(drivers, e)
-            cars.present[e] = self._start(seeding.np_random(seed)[0], own, theirs, profile[e])
-        seat_rows(rows, batch, traffic, wander.states(seeds) if wander.wanders else None, ZIGGURAT)
+            generator = seeding.np_random(seed)[0]
+            ego["vehicles"][e] = self._start(generator, cars[e], drivers[e], traffic.profile[e])
+        states = wander.states(seeds) if wander.wanders else None
+        seat_rows(rows, cars, drivers, ego, traffic.wander, states, ZIGGURAT)
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""
-        where, codes = self._everyone if rows is None else rows, None
+        e, where, codes = self.episodes, self._everyone if rows is None else rows, NO_CODES
         if self.codes.size:
             codes = self.codes[actions]
         else:
             self._take_up(actions)
-        e, n = self.episodes, where.size
         frames = self.frames if e.epoch_steps is None else e.epoch_steps
-        links: list[Any] = []
-        cost_us = 0.0
-        for done in range(0, self.frames, frames):
-            links.append(self._drive_link(where, frames, codes if done == 0 else None))
-            cost_us += VEHICLE_FRAME_US * frames * e.cars.x.shape[1]
-            if e.epoch_steps is None:
-                continue
-            truth = None
-            if e.navigation is not None:
-                link, truth = e.navigation.epoch_link(where, e.batch)
-                links.append(link)
-            run_rows(call_links, n, links, row_us=cost_us + EPOCH_US)
-            fixes = None if truth is None or e.navigation is None else fixes_of(e.navigation.locate(truth))
-            links, cost_us = e.epoch_links(where, fixes, e.times_s[where]), EPOCH_US
-        links += [self._judge_link(self._stage, where, start=False), *e.finish_links(where, start=False)]
-        run_rows(call_links, n, links, row_us=cost_us + FINISH_US)
-        e.fill_extra(where)
+        for _ in range(0, self.frames, frames):
+            self._drive(where, frames, codes)
+            codes = NO_CODES
+            if e.epoch_steps is not None:
+                e.sense(where)
+                e.locate(where)
+                e.perceive(where, e.times_s[where])
+        self._judge(e, where, start=False)
+        e.score(where, start=False)
+        e.observe(where, start=False)
 
-    def _drive_link(self, rows: Rows, frames: int, codes: Rows | None) -> Any:
-        """Simulation steps as a link."""
-        e = self.episodes
-        motions = None if e.navigation is None else e.navigation.motions
-        return self._drive, (rows, frames, codes, e.batch, self._stage.bundle.handle, motions, e.tracks)
+    def _drive(self, rows: Rows, frames: int, codes: Rows) -> None:
+        """Simulation steps of all vehicles, in which egos carry out meta-actions ``codes``, if there are any."""
+        e, stage = self.episodes, self._stage
+        run_rows(
+            self._kernel, rows.size, rows, frames, codes, e.cars, stage.drivers, e.ego, e.motions, e.table.lanes,
+            e.rules, stage.traffic, row_us=VEHICLE_FRAME_US * frames * e.cars.shape[1],
+        )  # fmt: skip
 
-    def _judge_link(self, stage: Stage, rows: Rows, start: bool) -> Any:
-        """End rules and reward of the wrapped world after a step, as a link."""
-        return judge_rows, (rows, stage.episodes.batch, stage.bundle.handle, start)
+    def _judge(self, episodes: Episodes, rows: Rows, start: bool) -> None:
+        """End rules and reward of the wrapped world after a step."""
+        e = episodes
+        judge_rows(0, rows.size, rows, e.cars, e.ego, e.table.lanes, e.rules, self.world, start)
 
     def _take_up(self, actions: NDArray[Any]) -> None:
         """Continuous commands in physical units, in the precision of the action as highway-env maps it."""
-        column, command = 0, self.episodes.ego.command
+        column, command = 0, self.episodes.ego["command"]
         for target, between in zip(("acceleration_mps2", "steering_rad"), self._ranges, strict=True):
             if between is not None:
                 share = np.clip(actions[:, column], -1, 1)
@@ -272,7 +262,7 @@ class Engine:
 
     def sensible(self) -> NDArray[np.bool_]:
         """Which of left, idle, right, faster and slower make sense for each ego by its belief, (N, 5)."""
-        b, wanted = self.episodes.ego.belief, self.speeds
+        b, wanted = self.episodes.ego["belief"], self.speeds
         own = self.episodes.table.lanes.table[b["lane"]]
         s, width, aside = b["longitudinal_m"], own["width_m"], b["lateral_m"]
         there = (s >= 0.0) & (s < own["length_m"] + PAST_END_M)

@@ -16,11 +16,11 @@ ACC_MOST, BRAKING_IMPOSED = 6.0, 2.0  # of IDMVehicle [m/s2], whatever the param
 
 
 @jit(inline=True)
-def gap_wanted(car, drv, i, j, idm):  # type: ignore[no-untyped-def]
+def gap_wanted(v, i, j, idm):  # type: ignore[no-untyped-def]
     """The distance wanted of vehicle i behind j."""
-    closing_x = car.speed[i] * drv.cos[i] - car.speed[j] * drv.cos[j]
-    closing_y = car.speed[i] * drv.sin[i] - car.speed[j] * drv.sin[j]
-    return _gap_of(car.speed[i], closing_x * drv.cos[i] + closing_y * drv.sin[i], idm)
+    closing_x = v.speed[i] * v.cos[i] - v.speed[j] * v.cos[j]
+    closing_y = v.speed[i] * v.sin[i] - v.speed[j] * v.sin[j]
+    return _gap_of(v.speed[i], closing_x * v.cos[i] + closing_y * v.sin[i], idm)
 
 
 @jit(inline=True)
@@ -36,15 +36,15 @@ def free(speed, wanted, delta, idm):  # type: ignore[no-untyped-def]
 
 
 @jit(inline=True)
-def wanted_speed(drv, i, limit):  # type: ignore[no-untyped-def]
+def wanted_speed(v, i, limit):  # type: ignore[no-untyped-def]
     """Target speed of vehicle i under a limit."""
-    return min(max(drv.target_speed[i], 0.0), limit)
+    return min(max(v.target_speed[i], 0.0), limit)
 
 
 @jit(inline=True)
-def braking(car, drv, i, j, gap, idm):  # type: ignore[no-untyped-def]
+def braking(v, i, j, gap, idm):  # type: ignore[no-untyped-def]
     """Reduction of the acceleration of vehicle i by vehicle j, a gap ahead."""
-    return _braking_of(gap_wanted(car, drv, i, j, idm), gap, idm)
+    return _braking_of(gap_wanted(v, i, j, idm), gap, idm)
 
 
 @jit(inline=True)

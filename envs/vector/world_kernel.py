@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 
 from lanebound.envs.batch.lanes_kernel import local, on_lane, width_at
-from lanebound.envs.batch.records_kernel import cars_of
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import wrap
-from lanebound.integrity.core.bundle_kernel import unbundle
 from lanebound.integrity.core.records import record
 
 __all__ = ["NO_REWARD", "OF_HIGHWAY", "OF_ROADS", "WORLD", "judge_rows"]
@@ -35,34 +33,36 @@ WORLD = record(
 
 
 @jit(borrows=True)
-def judge_rows(first, last, rows, batch, traffic, start):  # type: ignore[no-untyped-def]
+def judge_rows(first, last, rows, cars, egos, lanes, rules, world, start):  # type: ignore[no-untyped-def]
     """Fill the facts of a policy step: ends and reward of the wrapped world; of a start, where no time has passed."""
-    a, world = unbundle(batch), unbundle(traffic).world[0]
-    lanes, rules = a.lanes, a.rules[0]
-    policy = rules.policy_s
-    for n in range(first, last):
-        e = rows[n]
-        car, b, sc, facts = cars_of(a.cars, e), a.ego.belief[e], a.ego.score[e], a.ego.facts[e]
-        lane, speed, crashed = car.lane[0], car.speed[0], car.crashed[0] != 0
-        s, r, direction = local(lanes, lane, car.x[0], car.y[0])
-        angle, on_road = wrap(car.heading[0] - direction), on_lane(lanes, lane, s, r, 0.0)
-        facts.on_road, facts.terminated, facts.truncated, facts.base = 1 if on_road else 0, 0, 0, 0.0
-        facts.arrived = 1
-        if start:
-            continue
-        sc.time_s += policy
-        over = crashed or (world.off_road_ends != 0 and not on_road)
-        over = over or (world.against_ends != 0 and abs(angle) > 0.5 * math.pi)
-        late = sc.time_s >= world.duration_s - world.tolerance_s
-        late = late or (world.end_m >= 0.0 and s > lanes.table[lane].length_m - world.end_m)
-        late = late or sc.steps * rules.step_s >= world.episode_s - 0.5 * policy
-        facts.terminated, facts.truncated = 1 if over else 0, 1 if late else 0
-        if world.reward == OF_ROADS:
-            facts.base = _of_roads(lanes, lane, s, r, speed * math.cos(angle), crashed, world)
-        elif world.reward == OF_HIGHWAY:
-            wanted = b.target_lane if rules.meta != 0 else lane
-            facts.base = _of_highway(lanes, wanted, speed * math.cos(car.heading[0]), crashed, world)
-            facts.base *= 1.0 if on_road else 0.0
+    for e in rows[first:last]:
+        _judge(cars[e, 0], egos[e], lanes, rules[0], world[0], start)
+
+
+@jit(borrows=True)
+def _judge(car, ego, lanes, rules, world, start):  # type: ignore[no-untyped-def]
+    """:func:`judge_rows` for one environment."""
+    sc, facts, policy = ego.score, ego.facts, rules.policy_s
+    lane, speed, crashed = car.lane, car.speed, car.crashed != 0
+    s, r, direction = local(lanes, lane, car.x, car.y)
+    angle, on_road = wrap(car.heading - direction), on_lane(lanes, lane, s, r, 0.0)
+    facts.on_road, facts.terminated, facts.truncated, facts.base = 1 if on_road else 0, 0, 0, 0.0
+    facts.arrived = 1
+    if start:
+        return
+    sc.time_s += policy
+    over = crashed or (world.off_road_ends != 0 and not on_road)
+    over = over or (world.against_ends != 0 and abs(angle) > 0.5 * math.pi)
+    late = sc.time_s >= world.duration_s - world.tolerance_s
+    late = late or (world.end_m >= 0.0 and s > lanes.table[lane].length_m - world.end_m)
+    late = late or sc.steps * rules.step_s >= world.episode_s - 0.5 * policy
+    facts.terminated, facts.truncated = 1 if over else 0, 1 if late else 0
+    if world.reward == OF_ROADS:
+        facts.base = _of_roads(lanes, lane, s, r, speed * math.cos(angle), crashed, world)
+    elif world.reward == OF_HIGHWAY:
+        wanted = ego.belief.target_lane if rules.meta != 0 else lane
+        facts.base = _of_highway(lanes, wanted, speed * math.cos(car.heading), crashed, world)
+        facts.base *= 1.0 if on_road else 0.0
 
 
 @jit(inline=True)

@@ -22,8 +22,7 @@ from lanebound.integrity.core.errors import InputError
 
 if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
-    from lanebound.envs.batch.records_kernel import Cars
-    from lanebound.envs.vector.drivers_kernel import Drivers
+    from lanebound.integrity.core.records import Records
 
 __all__ = ["TARGET_SPEEDS_MPS", "Seat", "World"]
 
@@ -245,19 +244,19 @@ def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
 
     network, delay = world.road.network, getattr(world.OTHERS, "LANE_CHANGE_DELAY", 1.0)
 
-    def start(rng: np.random.Generator, cars: Cars, drivers: Drivers, profile: Array) -> int:
+    def start(rng: np.random.Generator, cars: Records, drivers: Records, profile: Array) -> int:
         seats, speeds = world.draw_seats(rng)
-        if len(seats) > cars.x.size:
-            raise InputError(f"most_vehicles must be {len(seats)} at least, got {cars.x.size}: correct it in the world")
+        if len(seats) > len(cars):
+            raise InputError(f"most_vehicles must be {len(seats)} at least, got {len(cars)}: correct it in the world")
         if speeds is not None:
             profile[:] = speeds
-        for i, seat in enumerate(seats):
+        for car, driver, seat in zip(cars, drivers, seats, strict=False):  # cars beyond the seats are empty places
             lane = network.get_lane(seat.lane_index)
             (x, y), heading = lane.position(seat.along_m, 0.0), float(lane.heading_at(seat.along_m))
-            cars.x[i], cars.y[i], cars.heading[i], cars.speed[i] = x, y, heading, seat.speed_mps
-            cars.lane[i] = drivers.target[i] = nearest(table.lanes, float(x), float(y), heading)
-            drivers.target_speed[i], drivers.delta[i] = seat.target_mps, seat.exponent
-            drivers.timer[i] = (np.sum([x, y]) * np.pi) % delay
+            car["x"], car["y"], car["heading"], car["speed"] = x, y, heading, seat.speed_mps
+            car["lane"] = driver["target"] = nearest(table.lanes, float(x), float(y), heading)
+            driver["target_speed"], driver["delta"] = seat.target_mps, seat.exponent
+            driver["timer"] = (np.sum([x, y]) * np.pi) % delay
         return len(seats)
 
     return start

@@ -14,8 +14,7 @@ from lanebound.envs.worlds.kinds import Refusal, Starter, Support
 
 if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
-    from lanebound.envs.batch.records_kernel import Cars
-    from lanebound.envs.vector.drivers_kernel import Drivers
+    from lanebound.integrity.core.records import Records
 
 __all__ = ["IDM_PATH", "motorway_support"]
 
@@ -41,9 +40,9 @@ def _lined_up(world: AbstractEnv, table: LaneTable) -> Starter:
     c, lane = world.config, world.config["initial_lane_id"]
     ego_lane, spacings = -1 if lane is None else int(lane), (float(c["ego_spacing"]), 1.0 / c["vehicles_density"])
 
-    def start(rng: np.random.Generator, cars: Cars, drivers: Drivers, profile: NDArray[np.float64]) -> int:
+    def start(rng: np.random.Generator, cars: Records, drivers: Records, profile: NDArray[np.float64]) -> int:
         line_up(rng, cars, drivers, table.lanes.table, ego_lane, *spacings)
-        return int(cars.x.size)
+        return len(cars)
 
     return start
 

@@ -19,8 +19,7 @@ from lanebound.integrity.core.presets import require_registered
 
 if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
-    from lanebound.envs.batch.records_kernel import Cars
-    from lanebound.envs.vector.drivers_kernel import Drivers
+    from lanebound.integrity.core.records import Records
 
 __all__ = [
     "Refusal",
@@ -33,8 +32,9 @@ __all__ = [
     "world_kinds",
 ]
 
-Starter = Callable[[np.random.Generator, "Cars", "Drivers", np.ndarray[Any, Any]], int]
-"""Fills the vehicles of one environment and its speed profile (S,) from a generator; returns the number of vehicles."""
+Starter = Callable[[np.random.Generator, "Records", "Records", np.ndarray[Any, Any]], int]
+"""Fills the vehicles of one environment, (V,) CAR and DRIVER, and its speed profile (S,) from a generator; returns the
+number of vehicles."""
 Refusal = tuple[str, str, object]
 """An option that the engine does not have: its name, the allowed values, and the value given."""
 

@@ -17,7 +17,7 @@ import multiprocessing
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
@@ -31,7 +31,7 @@ from numba.core import event
 from lanebound.integrity.core.kernel_cache import cache_directory, cache_root, locating
 from lanebound.integrity.core.kernel_dispatcher import kernel_of
 
-__all__ = ["LOGGER", "call_links", "jit", "kernels_are_cached", "run_rows", "serial", "thread_count"]
+__all__ = ["LOGGER", "jit", "kernels_are_cached", "run_rows", "serial", "thread_count"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # with more flags a fresh kernel and a cached one could differ in the last bit
@@ -158,8 +158,7 @@ def thread_count(pieces: int) -> int:
 def run_rows(kernel: Any, rows: int, *arguments: Any, row_us: float) -> None:
     """Call ``kernel(first, last, *arguments)`` for all rows, in one call or in pieces on several threads.
 
-    The only place where rows are handed to threads, which costs about 40 us. Several kernels share one call as one
-    callable: :func:`call_links` for kernels with arguments of their own.
+    The only place where rows are handed to threads, which costs about 40 us; a function can call several kernels.
 
     There are more pieces than threads: if another process delays one thread, the other threads process its pieces. The
     result does not depend on the number of threads, because rows are independent of each other.
@@ -181,12 +180,6 @@ def run_rows(kernel: Any, rows: int, *arguments: Any, row_us: float) -> None:
             kernel(piece * rows // pieces, (piece + 1) * rows // pieces, *arguments)
 
     _thread_pool(threads - 1, os.getpid()).run(work)
-
-
-def call_links(first: int, last: int, links: Sequence[tuple[Any, tuple[Any, ...]]]) -> None:
-    """Call kernels one after another for the same rows; ``links`` are kernels with their arguments after ``last``."""
-    for kernel, arguments in links:
-        kernel(first, last, *arguments)
 
 
 class _ThreadPool:

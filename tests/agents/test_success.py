@@ -84,7 +84,7 @@ def test_a_lead_of_progress_is_not_banked() -> None:
     assert driven(env, make_agent("nominal", env), 2)["is_success"]
     bank = make_agent("bank", env, {"time_share": 0.65})
     info = driven(env, bank, 2)
-    score = env.belief_loop.episodes.ego.score[0]  # type: ignore[union-attr]
+    score = env.belief_loop.episodes.ego["score"][0]  # type: ignore[union-attr]
     assert score["progress_m"] > env.config.success_share * score["allowed_m"], "its mean speed suffices"
     assert not info["is_success"], "it stands at the end"
 
@@ -92,7 +92,7 @@ def test_a_lead_of_progress_is_not_banked() -> None:
 def test_the_vehicle_ahead_and_bends_lower_the_speed_that_is_expected() -> None:
     env = made("CarFollowing", duration_s=60.0)
     assert driven(env, make_agent("nominal", env), 4)["is_success"]
-    score = env.belief_loop.episodes.ego.score[0]  # type: ignore[union-attr]
+    score = env.belief_loop.episodes.ego["score"][0]  # type: ignore[union-attr]
     assert score["allowed_m"] < 0.9 * env.world.vehicle.lane.speed_limit * 60.0
 
 

@@ -62,7 +62,7 @@ def test_the_engine_starts_cold_as_the_single_environment_does() -> None:
     for _ in range(12):
         single.step(np.zeros(single.action_space.shape, np.float32))
         engine.step(np.zeros((1, *single.action_space.shape), np.float32))
-        mine, theirs = single.belief_loop.belief(), engine.episodes.ego.belief[0]
+        mine, theirs = single.belief_loop.belief(), engine.episodes.ego["belief"][0]
         levels.append(mine.pl_ct_m)
         assert (mine.mode, mine.alert) == (theirs["mode"], bool(theirs["alert"]))
         np.testing.assert_allclose(mine.position_m, [theirs["x_m"], theirs["y_m"]], atol=1e-6)

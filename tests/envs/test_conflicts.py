@@ -12,9 +12,10 @@ from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.batch.conflict_kernel import STEP_S, second_arrival_s
 from lanebound.envs.batch.costs_kernel import _conflict
 from lanebound.envs.batch.lanes import lane_table
-from lanebound.envs.batch.records_kernel import SCORE, Cars
+from lanebound.envs.batch.records_kernel import SCORE
 from lanebound.envs.batch.rules import cost_figures
 from lanebound.envs.costs import CostConfig
+from lanebound.integrity.core.records import Records
 from vehicles import cars_at, record_of
 
 HORIZON_S = 1.5
@@ -29,14 +30,14 @@ def crossing() -> Any:
     return lane_table(network)
 
 
-def cars(ego_m: float, ego_mps: float, other_m: float, other_mps: float) -> Cars:
+def cars(ego_m: float, ego_mps: float, other_m: float, other_mps: float) -> Records:
     """The ego so far before the crossing along x, the other along y; negative beyond it."""
     made = cars_at([[-ego_m, 0.0], [0.0, -other_m]], [0.0, 1.5707963267948966], [ego_mps, other_mps])
-    made.lane[:] = 0, 1
+    made["lane"][:] = 0, 1
     return made
 
 
-def t2(made: Cars, past_s: float = 0.0) -> float:
+def t2(made: Records, past_s: float = 0.0) -> float:
     return float(second_arrival_s(made, crossing().lanes, HORIZON_S, past_s))
 
 
@@ -68,19 +69,19 @@ def test_an_encroachment_between_two_decisions_counts() -> None:
         cars(-20.0, 8.0, 10.0, 8.0),  # it has gone
     ],
 )
-def test_no_conflict(made: Cars) -> None:
+def test_no_conflict(made: Records) -> None:
     assert t2(made, 0.5) == HORIZON_S
 
 
 def test_who_follows_on_the_same_road_is_in_no_conflict_of_courses() -> None:
     made = cars_at([[0.0, 0.0], [6.0, 0.0]], 0.0, [10.0, 2.0])
-    made.lane[:] = 0
+    made["lane"][:] = 0
     assert t2(made) == HORIZON_S
 
 
 def test_a_wreck_is_in_no_conflict() -> None:
     made = cars(9.0, 8.0, 9.0, 8.0)
-    made.crashed[1] = 1
+    made["crashed"][1] = 1
     assert t2(made) == HORIZON_S
 
 
@@ -89,7 +90,7 @@ def test_the_cost_of_a_conflict_is_its_peak_whatever_the_steps() -> None:
     lanes, figures, score = crossing().lanes, cost_figures(CostConfig())[0], record_of(SCORE)
     near, nearer, none = cars(12.0, 8.0, 12.0, 8.0), cars(8.0, 8.0, 8.0, 8.0), cars(60.0, 8.0, 60.0, 8.0)
 
-    def paid(made: Cars, dt: float = 0.5) -> float:
+    def paid(made: Records, dt: float = 0.5) -> float:
         return float(_conflict(made, score, lanes, figures, dt))
 
     severity = 1.0 - t2(nearer, 0.5) / HORIZON_S
@@ -116,4 +117,4 @@ def test_lanes_that_cross_are_those_of_crossings() -> None:
     crossed = {table.index[n][:2] for n in range(len(table.index)) if table.lanes.table["crossed"][n]}
     assert ("ir0", "il1") in crossed
     cars_now = env.belief_loop.episodes.cars
-    assert table.index[int(cars_now.onward[0, 0])][:2] == ("ir0", "il1")  # the ego turns left
+    assert table.index[int(cars_now["onward"][0, 0])][:2] == ("ir0", "il1")  # the ego turns left

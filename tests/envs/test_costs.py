@@ -14,13 +14,13 @@ from lanebound.envs import IDS, DrivingEnv, make_config, wrap
 from lanebound.envs.batch.costs_kernel import CHANGE_S, _headway, overhang_m, rss_distance_m, shortfall
 from lanebound.envs.batch.episodes import Episodes
 from lanebound.envs.batch.lanes import lane_table
-from lanebound.envs.batch.records_kernel import BELIEF, PERCEIVED, SCORE, Cars, cars_of
-from lanebound.envs.batch.rows_kernel import count_rows
+from lanebound.envs.batch.records_kernel import BELIEF, PERCEIVED, SCORE
 from lanebound.envs.batch.rules import cost_figures
 from lanebound.envs.batch.score_kernel import count_epoch
 from lanebound.envs.belief_loop import BeliefLoop
 from lanebound.envs.costs import CostConfig
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.records import Records
 from vehicles import cars_at, record_of
 
 PERFECT: dict[str, Any] = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "none"}}
@@ -34,15 +34,16 @@ def _loop(env: DrivingEnv) -> BeliefLoop:
 
 def _corridor(env: DrivingEnv) -> tuple[int, bool]:
     """Number of the lane that the car is to keep, and whether it is changing."""
-    score = _loop(env).episodes.ego.score[0]
+    score = _loop(env).episodes.ego["score"][0]
     return int(score["corridor_side"]), bool(score["leaving_side"] >= 0)
 
 
-def _car(env: DrivingEnv) -> tuple[Cars, Episodes]:
+def _car(env: DrivingEnv) -> tuple[Records, Episodes]:
     """The vehicles of an environment as they are now."""
     loop = _loop(env)
     loop.seats.read(full=True)
-    return cars_of.py_func(loop.episodes.cars, 0), loop.episodes
+    e = loop.episodes
+    return e.cars[0, : int(e.ego["vehicles"][0])], e
 
 
 def _costs(env: DrivingEnv, commands: Any, steps: int, seed: int = 0) -> dict[str, float]:
@@ -233,7 +234,7 @@ def test_a_nearer_leader_unseen_costs_by_the_true_gap() -> None:
 def _share_lacking(env: DrivingEnv, gap_m: float, bound_m: float) -> float:
     """Of the RSS distance, by a standing leader that is perceived at a gap with a level."""
     car, e = _car(env)
-    belief, lane = e.ego.belief.copy(), env.world.vehicle.lane
+    belief, lane = e.ego["belief"].copy(), env.world.vehicle.lane
     belief["speed_mps"] = 10.0
     x, y = lane.position(float(belief["longitudinal_m"][0]) + gap_m + env.world.vehicle.LENGTH, 0.0)
     seen = np.zeros(1, PERCEIVED)
@@ -266,21 +267,17 @@ def test_every_epoch_of_a_step_is_judged() -> None:
     env = DrivingEnv(make_config("lanebound/UrbanCanyon-v0", {"sky": "open", "world": {"vehicles_count": 0}}))
     env.reset(seed=0)
     e, seen = _loop(env).episodes, list[int]()
-    links = e.epoch_links
+    count = e.count_epoch
 
-    def displace(first: int, last: int) -> None:
+    def displaced(rows: Any) -> None:
         seen.append(len(seen) + 1)
-        belief, beside = e.ego.belief, 5.0 if seen[-1] in (1, 3, 4) else 0.0
+        belief, beside = e.ego["belief"], 5.0 if seen[-1] in (1, 3, 4) else 0.0
         x, y = env.world.vehicle.position
         for name, value in (("x_m", x), ("y_m", y + beside), ("pl_at_m", 0.1), ("pl_ct_m", 0.1), ("available", 1)):
             belief[name] = value
+        count(rows)
 
-    def with_errors(*arguments: Any) -> list[Any]:
-        found = links(*arguments)
-        at = next(n for n, (kernel, _) in enumerate(found) if kernel is count_rows)
-        return [*found[:at], (displace, ()), *found[at:]]
-
-    e.epoch_links = with_errors  # type: ignore[method-assign]
+    e.count_epoch = displaced  # type: ignore[method-assign]
     *_, info = env.step(IDLE)
     assert len(seen) == 5
     assert (info["hmi"], info["mi"], info["hmi_share"]) == (True, False, 0.6)
@@ -309,7 +306,7 @@ def test_misleading_and_hazardous_exclude_each_other(
     def judged(error_at_m: float) -> tuple[bool, bool]:
         levels = {"pl_at_m": 0.3, "pl_ct_m": level_m, "al_at_m": 1.5, "al_ct_m": 0.6, "available": available}
         score = record_of(SCORE)
-        count_epoch(record_of(BELIEF, x_m=error_at_m, y_m=error_ct_m, **levels), score, cars_at([[0.0, 0.0]]))
+        count_epoch(record_of(BELIEF, x_m=error_at_m, y_m=error_ct_m, **levels), score, cars_at([[0.0, 0.0]])[0])
         assert score["epochs"] == 1
         return bool(score["mi"]), bool(score["hmi"])
 
@@ -348,7 +345,7 @@ def test_the_body_may_stand_on_two_lanes_that_meet() -> None:
     lanes, corridor = lane_table(network).lanes, record_of(SCORE, leaving_side=-1)
 
     def out(x: float, y: float, heading_rad: float) -> float:
-        return float(overhang_m(cars_at([[x, y]], heading_rad), corridor, lanes, True))
+        return float(overhang_m(cars_at([[x, y]], heading_rad)[0], corridor, lanes, True))
 
     assert out(50.0, 0.0, 0.32) == 0.0
     assert out(20.0, 1.5, 0.0) == pytest.approx(0.5)
@@ -368,7 +365,7 @@ def test_the_wheels_turn_at_the_stated_rate_towards_what_is_commanded() -> None:
     """0.7 rad/s from step to step of the dynamics, however seldom decisions come."""
     env = DrivingEnv(make_config("lanebound/LaneKeeping-v0", {"sky": "open"}))
     env.reset(seed=0)
-    belief = _loop(env).episodes.ego.belief
+    belief = _loop(env).episodes.ego["belief"]
     for command, angle in ((0.5, 0.14), (0.5, 0.2), (-0.5, 0.06)):
         env.step(np.array([-0.5, command], dtype=np.float32))
         assert belief["steering_rad"][0] == pytest.approx(angle, abs=1e-6)

@@ -22,16 +22,16 @@ def loop() -> BeliefLoop:
 
 
 def test_the_records_are_the_vehicles_of_the_world_the_ego_first(loop: BeliefLoop) -> None:
-    ego, cars = loop.ego, loop.episodes.cars
-    world, n = [ego, *(v for v in loop.world.road.vehicles if v is not ego)], int(cars.present[0])
+    ego, cars = loop.ego, loop.episodes.cars[0]
+    world, n = [ego, *(v for v in loop.world.road.vehicles if v is not ego)], int(loop.episodes.ego["vehicles"][0])
     assert n == len(world)
-    np.testing.assert_array_equal(np.column_stack([cars.x[0, :n], cars.y[0, :n]]), [v.position for v in world])
-    np.testing.assert_array_equal(cars.heading[0, :n], [v.heading for v in world])
-    np.testing.assert_array_equal(cars.speed[0, :n], [v.speed for v in world])
-    assert [loop.episodes.table.index[lane] for lane in cars.lane[0, :n]] == [v.lane_index for v in world]
-    assert cars.slot[0, 0] == -1
-    assert sorted(cars.slot[0, 1:n]) == list(range(n - 1))
-    assert (set(cars.length[0, :n]), set(cars.width[0, :n])) == ({ego.LENGTH}, {ego.WIDTH})
+    np.testing.assert_array_equal(np.column_stack([cars["x"][:n], cars["y"][:n]]), [v.position for v in world])
+    np.testing.assert_array_equal(cars["heading"][:n], [v.heading for v in world])
+    np.testing.assert_array_equal(cars["speed"][:n], [v.speed for v in world])
+    assert [loop.episodes.table.index[lane] for lane in cars["lane"][:n]] == [v.lane_index for v in world]
+    assert cars["slot"][0] == -1
+    assert sorted(cars["slot"][1:n]) == list(range(n - 1))
+    assert (set(cars["length"][:n]), set(cars["width"][:n])) == ({ego.LENGTH}, {ego.WIDTH})
 
 
 def test_claims_are_the_solutions_in_the_plane(loop: BeliefLoop) -> None:

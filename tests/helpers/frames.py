@@ -52,12 +52,12 @@ class Viewer:
         known = {"x_m": ego.position_m[0], "y_m": ego.position_m[1], "lane": lane, "target_lane": target}
         known["path"] = e.routes.row(lane, route)
         for name in BELIEF.names or ():
-            e.ego.shown[name] = known[name] if name in known else getattr(ego, name)
+            e.ego["shown"][name] = known[name] if name in known else getattr(ego, name)
         e.sky[:] = -1.0 if sky is None else np.ravel(sky)
         seen = _perceived(traffic)
-        shown = e._shown[0]
-        derive(e.ego.shown[0], seen, seen.size, e.table.lanes, e.routes.map, e.rules[0], shown, self._seen, 0, e.views)
-        fill_frame(e._sources, e._words, 0, e.views.own[0], e.frame[0])
+        e.ego["score"]["observed"] = self._seen
+        derive(e.ego[0], seen, seen.size, e.table.lanes, e.routes.map, e.rules[0], e._integrity, 0, e.views)
+        fill_frame(e._sources, e._words, 0, e.ego["own"][0], e.frame[0])
         self._seen += 1
         return e.frame[0]
 

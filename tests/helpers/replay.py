@@ -12,8 +12,7 @@ from lanebound.envs.batch.infos import form_of, infos_of, results, single_info
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
 from lanebound.envs.vector.engine import Engine
-from lanebound.integrity.core.bundle_kernel import Bundle
-from side_by_side import command, flat, newest, poses
+from side_by_side import POSE, command, flat, newest, poses
 
 __all__ = ["Replay"]
 
@@ -44,10 +43,10 @@ class Replay:
     def _take_traffic(self) -> None:
         """Put the replaying kernel, and room for the poses of a policy step, in place of the engine's traffic."""
         stage, engine = self.engine._stage, self.engine
-        places = len(FIELDS) * engine.episodes.cars.x.shape[1]
+        places = len(FIELDS) * engine.episodes.cars.shape[1]
         self._profile = np.zeros((engine.count, engine.frames * places))
-        engine._drive = run_replay
-        self._bundle = Bundle(stage.traffic._replace(profile=self._profile))
+        engine._kernel = run_replay
+        self._traffic = stage.traffic._replace(profile=self._profile)
 
     def reset(self, row: int, seed: int | None) -> None:
         """Begin an episode in both."""
@@ -58,21 +57,19 @@ class Replay:
 
     def _note(self, row: int) -> None:
         """Make a single environment note the poses of all vehicles after each simulation step."""
-        loop, poses, places = self.singles[row].belief_loop, self._poses[row], self.engine.episodes.cars.x.shape[1]
+        loop, poses, places = self.singles[row].belief_loop, self._poses[row], self.engine.episodes.cars.shape[1]
         assert loop is not None
-        look = loop.look
+        sense = loop.sense
 
         def noting() -> None:
-            before = loop._seen
-            look()
-            if loop._seen > before:
-                out = np.zeros((len(FIELDS), places))
-                for i, v in enumerate(loop.world.road.vehicles):
-                    lane = loop.episodes.table.row[v.lane_index]
-                    out[:, i] = v.position[0] + self.shift_m, v.position[1], v.heading, v.speed, lane, v.crashed
-                poses.append(out)
+            sense()
+            out = np.zeros((len(FIELDS), places))
+            for i, v in enumerate(loop.world.road.vehicles):
+                lane = loop.episodes.table.row[v.lane_index]
+                out[:, i] = v.position[0] + self.shift_m, v.position[1], v.heading, v.speed, lane, v.crashed
+            poses.append(out)
 
-        loop.look = noting  # type: ignore[method-assign]
+        loop.sense = noting  # type: ignore[method-assign]
 
     def step(self, count: int) -> None:
         """Drive on by so many policy steps under random commands; ended episodes are followed by others."""
@@ -88,10 +85,10 @@ class Replay:
                 assert len(self._poses[row]) == self.engine.frames
                 self._profile[row] = np.roll(self._poses[row], self._turn(row), axis=0).ravel()
                 taken.append(rest)
-            stage, held = self.engine._stage, self.engine._stage.bundle
-            stage.bundle = self._bundle  # the starts of episodes fill the profile of the engine's own traffic
+            stage, held = self.engine._stage, self.engine._stage.traffic
+            stage.traffic = self._traffic  # the starts of episodes fill the profile of the engine's own traffic
             self.engine.step(np.array(actions))
-            stage.bundle = held
+            stage.traffic = held
             for row, (reward, terminated, truncated, info) in enumerate(taken):
                 self._compare(row, f"{row} step {n}", (reward, terminated, truncated, info))
                 self.steps += 1
@@ -101,15 +98,15 @@ class Replay:
 
     def _turn(self, row: int) -> int:
         """Place of the first step of this policy step in the profile."""
-        return int(self.engine.episodes.ego.score["steps"][row] % self.engine.frames)
+        return int(self.engine.episodes.ego["score"]["steps"][row] % self.engine.frames)
 
     def _compare(self, row: int, where: str, step: Any) -> None:
         """Note every number that is not equal."""
         reward, terminated, truncated, info = step
         engine, single = self.engine, self.singles[row]
         out, frame = engine.outcome[row], engine.episodes.frame[row]
-        seen, true, cars = flat(single, newest(single, self._seen[row])), poses(single), engine.episodes.cars
-        driven = np.array([column[row, : true.shape[1]] for column in (cars.x, cars.y, cars.heading, cars.speed)])
+        seen, true, cars = flat(single, newest(single, self._seen[row])), poses(single), engine.episodes.cars[row]
+        driven = np.array([cars[name][: true.shape[1]] for name in POSE])
         self._equal("poses", where, driven.tolist(), true.tolist())
         for entry, a, b in zip(single.observer.index, frame.tolist(), seen.tolist(), strict=True):
             self._equal(f"observation {entry.column}", where, a, b)

@@ -37,6 +37,7 @@ CLOSE = 1e-9  # of poses [m], [rad], [m/s], rewards and infos
 SEEN = 1e-6  # of float32 observations
 CRAWL = 1.5  # of the speed below which rounding grows
 IN_LINE_RAD = 1e-5
+POSE = ("x", "y", "heading", "speed")
 
 
 class _Episode:
@@ -146,8 +147,8 @@ def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv,
         return
     reward, terminated, truncated, info = step
     e, vehicles, true = engine.episodes, single.world.road.vehicles, poses(single)
-    out, count = e.ego.outcome[row], len(vehicles)
-    driven = np.array([column[row, :count] for column in (e.cars.x, e.cars.y, e.cars.heading, e.cars.speed)])
+    out, count = e.ego["outcome"][row], len(vehicles)
+    driven = np.array([e.cars[name][row, :count] for name in POSE])
     off = np.abs(driven - true).max(0)
     if tally.parts(single, where, off):
         return
@@ -156,13 +157,13 @@ def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv,
     tally.reward = max(tally.reward, abs(float(out["reward"]) - reward))
     lanes = [e.table.row[v.lane_index] for v in vehicles]
     facts = {
-        "there": (int(e.cars.present[row]), count),
-        "lanes": (e.cars.lane[row, :count].tolist(), lanes),
-        "crashed": ((e.cars.crashed[row, :count] != 0).tolist(), [bool(v.crashed) for v in vehicles]),
+        "there": (int(e.ego["vehicles"][row]), count),
+        "lanes": (e.cars["lane"][row, :count].tolist(), lanes),
+        "crashed": ((e.cars["crashed"][row, :count] != 0).tolist(), [bool(v.crashed) for v in vehicles]),
         "ends": ((out["terminated"] > 0.0, out["truncated"] > 0.0), (terminated, truncated)),
     }
     tally.mismatches += [f"{where} {name}: {a} {b}" for name, (a, b) in facts.items() if a != b]
-    infos = infos_of(results(e.ego.outcome), form_of(np.ones(engine.count, dtype=np.bool_)))
+    infos = infos_of(results(e.ego["outcome"]), form_of(np.ones(engine.count, dtype=np.bool_)))
     _same_info(tally, where, single_info(infos, row), info)
 
 
@@ -192,7 +193,7 @@ def drive(
     targets = [v.target_lane_index for v in single.world.road.vehicles[1:] if hasattr(v, "timer")]
     begun = poses(single)
     cars = engine.episodes.cars
-    placed = [column[row, : begun.shape[1]] for column in (cars.x, cars.y, cars.heading, cars.speed)]
+    placed = [cars[name][row, : begun.shape[1]] for name in POSE]
     assert (np.array(placed) == begun).all(), "an episode must start from the same bits"
     tally.begin(single)
     same(tally, f"seed {seed} start", engine, row, single, seen, (0.0, False, False, info))

@@ -14,10 +14,11 @@ from scipy.stats import binom
 from lanebound.envs.batch import perception_kernel as pk
 from lanebound.envs.batch.belief_kernel import FIX
 from lanebound.envs.batch.perception import PerceptionBatch
-from lanebound.envs.batch.records_kernel import BELIEF, PERCEIVED, Cars
+from lanebound.envs.batch.records_kernel import BELIEF, PERCEIVED
 from lanebound.envs.perception import PerceptionConfig
 from lanebound.envs.records import Traffic
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.positioning.modes import Mode
 from vehicles import cars_at, record_of
 
@@ -29,12 +30,12 @@ EXACT = {
 }  # fmt: skip
 
 
-def honest(car: Cars, capacity: int) -> Any:
+def honest(car: Records, capacity: int) -> Any:
     """What vehicles that know the truth broadcast, with levels of 1 m and 0.5 m: (C,) CLAIM by slot."""
     claims = np.zeros(capacity, pk.CLAIM)
     claims["pl_at_m"], claims["pl_ct_m"], claims["sends"] = 1.0, 0.5, 1
-    for name, column in (("x_m", car.x), ("y_m", car.y), ("heading_rad", car.heading), ("speed_mps", car.speed)):
-        claims[name][car.slot[1:]] = column[1:]
+    for name, field in (("x_m", "x"), ("y_m", "y"), ("heading_rad", "heading"), ("speed_mps", "speed")):
+        claims[name][car["slot"][1:]] = car[field][1:]
     return claims
 
 
@@ -45,19 +46,20 @@ class Street:
         self.picture = PerceptionBatch(PerceptionConfig.load(config), 1, capacity, capacity + 1, DT)
         self.capacity, self.epoch, self.lies = capacity, 0, None
         names = np.column_stack([np.arange(capacity + 1.0), np.zeros(capacity + 1)])
-        crew = Cars(*(np.array([column]) for column in cars_at(names)))
+        crew = cars_at(names)[None]
         self.picture.begin(ROW, [seed], np.ones((1, capacity), dtype=np.bool_), crew)
 
-    def step(self, car: Cars, claims: Any = None) -> Traffic:
+    def step(self, car: Records, claims: Any = None) -> Traffic:
         self.epoch += 1
         batch, p, time = self.picture, self.picture.pictures, self.epoch * DT
-        ego = record_of(BELIEF, x_m=car.x[0], y_m=car.y[0], heading_rad=car.heading[0], speed_mps=car.speed[0])
+        x, y, heading, speed = car[["x", "y", "heading", "speed"]][0]
+        ego = record_of(BELIEF, x_m=x, y_m=y, heading_rad=heading, speed_mps=speed)
         if batch.has_radio:
             said = honest(car, self.capacity) if claims is None else claims
             u = batch._draw("v2v", ROW, 2)[0]
             pk.hear(p.picture[0], p.radio, 0, p.of_radio[0], time, said, car, u, self.lies)
         if batch.has_sensor:
-            noise, ahead = batch._draw("sensor", ROW, 4)[0], np.empty((car.x.size, 2))
+            noise, ahead = batch._draw("sensor", ROW, 4)[0], np.empty((len(car), 2))
             pk.look(p.picture[0], p.tracks[0], p.of_sensor[0], ego, car, noise, ahead)
         square = np.empty(self.capacity + 2)
         count = pk.sum_up(p.radio, p.tracks[0], p.slots[0], 0, p.of_tracks[0], time, ego, square, p.perceived[0])
@@ -164,7 +166,7 @@ def test_keys_stay_while_the_order_of_vehicles_changes() -> None:
     street, vehicles = Street(v2v=CLEAR), cars_at([[0, 0], [20, 0], [40, 0]])
     street.step(vehicles)
     turned = cars_at([[0, 0], [40, 0], [20, 0]])
-    turned.slot[:] = [-1, 1, 0]
+    turned["slot"][:] = [-1, 1, 0]
     traffic = street.step(turned)
     np.testing.assert_array_equal(traffic.key, [1, 2])
     np.testing.assert_allclose(traffic.position_m[:, 0], [20, 40])
@@ -184,13 +186,13 @@ def test_both_takes_the_newer_and_the_sensor_when_equally_old() -> None:
 
 def test_truth_is_everybody_as_they_are_and_who_has_no_slot_is_overlooked() -> None:
     car = cars_at([[0, 0], [900, 4], [-20, 0], [5, 0]], speed_mps=10.0)
-    car.slot[3] = -1
+    car["slot"][3] = -1
     for every, keys in ((False, [2, 1]), (True, [3, 2, 1])):
         seen = np.zeros(3, PERCEIVED)
-        count = pk.see_truth(car, 0.0, 0.0, every, np.empty(4, dtype=np.int64), np.empty(4), seen)
+        count = pk.see_truth(car, 0.0, 0.0, every, seen)
         traffic = Traffic.of(seen[:count])
         np.testing.assert_array_equal(traffic.key, keys)
-        np.testing.assert_array_equal(traffic.position_m, np.column_stack([car.x, car.y])[keys])
+        np.testing.assert_array_equal(traffic.position_m, np.column_stack([car["x"], car["y"]])[keys])
         assert not traffic.pl_at_m.any()
         assert not traffic.age_s.any()
 

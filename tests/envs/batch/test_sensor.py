@@ -14,8 +14,9 @@ from scipy.stats import binom, chi2, norm
 
 from lanebound.envs.batch import perception_kernel as pk
 from lanebound.envs.batch.perception import PerceptionBatch
-from lanebound.envs.batch.records_kernel import BELIEF, Cars
+from lanebound.envs.batch.records_kernel import BELIEF
 from lanebound.envs.perception import PerceptionConfig, SensorConfig
+from lanebound.integrity.core.records import Records
 from vehicles import cars_at, record_of
 
 DT, ROW = 0.1, np.zeros(1, dtype=np.int64)
@@ -31,13 +32,13 @@ class Sensor:
     def __init__(self, config: SensorConfig, capacity: int, seed: int = 1) -> None:
         made = PerceptionConfig(source="sensor", sensor=config)
         self.batch = PerceptionBatch(made, 1, capacity, capacity + 1, DT)
-        crew = Cars(*(np.array([column]) for column in cars_at(np.zeros((capacity + 1, 2)))))
+        crew = cars_at(np.zeros((capacity + 1, 2)))[None]
         self.batch.begin(ROW, [seed], np.ones((1, capacity), dtype=np.bool_), crew)
 
-    def look(self, ego: Any, car: Cars) -> Any:
+    def look(self, ego: Any, car: Records) -> Any:
         """Tracks (C,) SIGHTING by slot after another epoch."""
         p, noise = self.batch.pictures, self.batch._draw("sensor", ROW, 4)[0]
-        pk.look(p.picture[0], p.tracks[0], p.of_sensor[0], ego, car, noise, np.empty((car.x.size, 2)))
+        pk.look(p.picture[0], p.tracks[0], p.of_sensor[0], ego, car, noise, np.empty((len(car), 2)))
         return p.tracks[0].copy()
 
 
@@ -45,13 +46,13 @@ def believe(x: float = 0.0, y: float = 0.0, heading_rad: float = 0.0, speed_mps:
     return record_of(BELIEF, x_m=x, y_m=y, heading_rad=heading_rad, speed_mps=speed_mps)
 
 
-def look(car: Cars, config: SensorConfig = EXACT, ego: Any = None) -> Any:
+def look(car: Records, config: SensorConfig = EXACT, ego: Any = None) -> Any:
     if ego is None:
-        ego = believe(car.x[0], car.y[0], car.heading[0], car.speed[0])
-    return Sensor(config, car.x.size - 1).look(ego, car)
+        ego = believe(car["x"][0], car["y"][0], car["heading"][0], car["speed"][0])
+    return Sensor(config, len(car) - 1).look(ego, car)
 
 
-def seen(car: Cars, config: SensorConfig = EXACT) -> list[int]:
+def seen(car: Records, config: SensorConfig = EXACT) -> list[int]:
     """Which vehicles are in sight, by number."""
     return [1 + int(i) for i in np.flatnonzero(look(car, config)["time_s"] == 0.0)]
 
@@ -77,12 +78,12 @@ def test_hidden_is_whose_line_of_sight_crosses_an_edge_of_another(seed: int) -> 
     vehicles = cars_at(
         np.r_[[[0.0, 0.0]], rng.choice([-1, 1], (9, 2)) * rng.uniform(4, 60, (9, 2))], rng.uniform(-4, 4, 10)
     )
-    ahead = np.column_stack([np.cos(vehicles.heading), np.sin(vehicles.heading)])
-    position = np.column_stack([vehicles.x, vehicles.y])
+    ahead = np.column_stack([np.cos(vehicles["heading"]), np.sin(vehicles["heading"])])
+    position = np.column_stack([vehicles["x"], vehicles["y"]])
     for i in range(1, 10):
         # a target inside another vehicle crosses an odd number of its edges all the same, as the ego is outside
         hidden = any(
-            _edges_crossed(position[0], position[i], position[j], vehicles.heading[j], 5.0, 2.0)
+            _edges_crossed(position[0], position[i], position[j], vehicles["heading"][j], 5.0, 2.0)
             for j in range(1, 10)
             if j != i
         )
@@ -97,7 +98,7 @@ def test_nothing_is_seen_beyond_range_or_view() -> None:
     row = cars_at([[0, 0], [79, 0], [0, 20], [-20, 0], [0, -81]])
     assert seen(row) == [1, 2, 3]
     assert seen(row, EXACT.replace(field_of_view_deg=120.0)) == [1]
-    row.heading[:] = np.pi
+    row["heading"][:] = np.pi
     assert seen(row, EXACT.replace(field_of_view_deg=120.0)) == [3]
 
 

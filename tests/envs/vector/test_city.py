@@ -16,7 +16,7 @@ from lanebound.envs.vector.drivers_kernel import clear, seat
 from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.envs.worlds.idm_parameters_kernel import CALM
 from lanebound.envs.worlds.streets import UrbanCanyonWorld
-from vehicles import empty_rows
+from vehicles import driving, empty_rows
 
 
 def _world(seed: int, **config: Any) -> UrbanCanyonWorld:
@@ -28,12 +28,13 @@ def _world(seed: int, **config: Any) -> UrbanCanyonWorld:
 def _started(world: UrbanCanyonWorld, seed: int) -> tuple[Any, Any]:
     """The records of one environment of a world, after a start."""
     support = world.support()
-    car, drv = empty_rows(support.vehicles(world), 0)
+    car, drv = empty_rows(support.vehicles(world))
     clear(car, drv, Vehicle.LENGTH, Vehicle.WIDTH)
     start = support.starter(world, lane_table(world.road.network))
     count = start(np.random.Generator(np.random.PCG64(seed)), car, drv, np.zeros(1))
     seat(car, drv, count)
-    return car._replace(present=count), drv
+    assert not any(car[name][count:].any() for name in ("x", "y", "speed"))
+    return car[:count], drv[:count]
 
 
 def test_figures_are_those_of_the_drivers() -> None:
@@ -50,15 +51,14 @@ def test_an_episode_starts_as_the_worlds(count: int) -> None:
         car, drv = _started(world, seed)
         there, index = world.road.vehicles, lane_table(world.road.network).index
         crews.add(len(there))
-        assert car.present == len(there)
-        assert (car.slot >= 0).sum() == len(there) - 1
+        assert len(car) == len(there)
+        assert (car["slot"] >= 0).sum() == len(there) - 1
         for i, v in enumerate(there):
             values = (*v.position, v.heading, v.speed, np.cos(v.heading), np.sin(v.heading))
-            assert (car.x[i], car.y[i], car.heading[i], car.speed[i], drv.cos[i], drv.sin[i]) == values
-            assert index[car.lane[i]] == index[drv.target[i]] == v.lane_index == v.target_lane_index
+            assert (*car[["x", "y", "heading", "speed"]][i], *drv[["cos", "sin"]][i]) == values
+            assert index[car["lane"][i]] == index[drv["target"][i]] == v.lane_index == v.target_lane_index
             if isinstance(v, CityDriver):
-                assert (drv.target_speed[i], drv.timer[i], drv.delta[i]) == (v.target_speed, v.timer, v.DELTA)
-        assert not any(column[len(there) :].any() for column in (car.x, car.y, car.speed))
+                assert (drv["target_speed"][i], drv["timer"][i], drv["delta"][i]) == (v.target_speed, v.timer, v.DELTA)
     assert len(crews) > 2 or crews == {1} == {1 + count}
 
 
@@ -89,14 +89,14 @@ def test_neighbours_are_found_across_the_ends_of_roads() -> None:
     for seed in range(12):
         world = _world(seed, vehicles_count=40, spread=[-250.0, 250.0])
         network, table = world.road.network, lane_table(world.road.network)
-        car, _ = _started(world, seed)
-        places = np.empty((car.x.size, len(table.index)))
-        city.place_all.py_func(car, table.lanes, places)
+        v = driving(*_started(world, seed))
+        places = np.empty((v.x.size, len(table.index)))
+        city.place_all.py_func(v, table.lanes, places)
         there = world.road.vehicles
-        for i, v in enumerate(there):
-            for index in network.all_side_lanes(v.lane_index):
-                got = city._neighbours(car, table.lanes, places, table.row[index], i)
-                wanted = world.road.neighbour_vehicles(v, index)
+        for i, vehicle in enumerate(there):
+            for index in network.all_side_lanes(vehicle.lane_index):
+                got = city._neighbours(v, table.lanes, places, table.row[index], i)
+                wanted = world.road.neighbour_vehicles(vehicle, index)
                 assert got == tuple(-1 if other is None else there.index(other) for other in wanted)
                 across += any(other is not None and other.lane_index[:2] != index[:2] for other in wanted)
     assert across > 5

@@ -8,21 +8,21 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from lanebound.envs.vector.collisions_kernel import collide_all, collide_sorted
-from lanebound.envs.vector.drivers_kernel import clear, seat
+from lanebound.envs.vector.drivers_kernel import clear, seat, store
 from lanebound.integrity.core.accel import jit
-from vehicles import empty_rows
+from vehicles import driving, empty_rows
 
 DT_S = 0.05
 
 
 @jit
-def _all(car, drv):  # type: ignore[no-untyped-def]
-    collide_all(car, drv, DT_S)
+def _all(v):  # type: ignore[no-untyped-def]
+    collide_all(v, DT_S)
 
 
 @jit
-def _sorted(car, drv, pairs):  # type: ignore[no-untyped-def]
-    collide_sorted(car, drv, DT_S, pairs)
+def _sorted(v, pairs):  # type: ignore[no-untyped-def]
+    collide_sorted(v, DT_S, pairs)
 
 
 def _crowd(seed: int, count: int) -> Road:
@@ -40,23 +40,25 @@ def test_who_crashes_and_where_to_is_the_same(in_order: bool) -> None:
     thrown = crashed = 0
     for seed in range(12):
         road = _crowd(seed, 9)
-        car, drv = empty_rows(9, len(road.vehicles))
+        car, drv = empty_rows(len(road.vehicles))
         clear(car, drv, Vehicle.LENGTH, Vehicle.WIDTH)
         for i, v in enumerate(road.vehicles):
-            (car.x[i], car.y[i]), car.heading[i], car.speed[i] = v.position, v.heading, v.speed
+            (car["x"][i], car["y"][i]), car["heading"][i], car["speed"][i] = v.position, v.heading, v.speed
         seat(car, drv, 9)
-        drv.order[:] = np.argsort(car.x)
+        drv["order"][:] = np.argsort(car["x"])
+        driven = driving(car, drv)
         if in_order:
-            _sorted(car, drv, np.empty(60, dtype=np.int64))
+            _sorted(driven, np.empty(60, dtype=np.int64))
         else:
-            _all(car, drv)
+            _all(driven)
+        store(driven, car, drv)
         for i, vehicle in enumerate(road.vehicles):
             for other in road.vehicles[i + 1 :]:
                 vehicle.handle_collisions(other, DT_S)
         for i, v in enumerate(road.vehicles):
-            assert bool(car.crashed[i]) == v.crashed
-            assert bool(drv.struck[i]) == (v.impact is not None)
+            assert bool(car["crashed"][i]) == v.crashed
+            assert bool(drv["struck"][i]) == (v.impact is not None)
             if v.impact is not None:
-                np.testing.assert_allclose([drv.impact_x[i], drv.impact_y[i]], v.impact, atol=1e-9)
-        thrown, crashed = thrown + int(drv.struck.sum()), crashed + int(car.crashed.sum())
+                np.testing.assert_allclose([drv["impact_x"][i], drv["impact_y"][i]], v.impact, atol=1e-9)
+        thrown, crashed = thrown + int(drv["struck"].sum()), crashed + int(car["crashed"].sum())
     assert thrown > crashed > 20

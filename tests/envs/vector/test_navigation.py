@@ -94,7 +94,7 @@ def test_with_the_same_draws_it_is_the_single_environment(name: str, config: dic
     pairs.step(steps)
     require_equal(pairs.tally)
     assert pairs.tally.steps >= 8
-    crews = pairs.engine.episodes.cars.present
+    crews = pairs.engine.episodes.ego["vehicles"]
     assert name != "UrbanCanyon" or crews[0] != crews[1], "one has an empty place that the other has not"
 
 
