@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from result_pages import STATE, present_state
 
 from lanebound.envs.ids import IDS
 from lanebound.envs.registration import make_config
@@ -31,10 +32,6 @@ FIGURES = {
         "docs/results/claim.md": r"its mean harm is ([\d.]+)",
         "docs/results/index.md": r"harm ([\d.]+), against",
         "README.md": CLAIM.format(name="CarFollowing"),
-    },
-    "state of the defaults of the claim": {
-        "docs/results/claim.md": r"\*\*Defaults\.\*\* \[Defaults (\d+)\]",
-        "README.md": r"[Dd]efaults (\d+)\]\(docs/results/index\.md#defaults\)",
     },
     "how often the alert is on without carrier phases": {
         "docs/limits.md": r"too large for a lane, so the alert is ([\w ]+) on \(",
@@ -96,6 +93,16 @@ def test_the_harm_table_of_the_readme_is_that_of_the_claim() -> None:
             shown[env, sky, "harm", name], _, shown[env, sky, "throughput", name] = cell.partition(" at ")
     names = ("nominal", "cautious", "integrity_aware")
     assert shown == {(*place, name): of[name] for place, of in claimed().items() for name in names}
+
+
+def test_the_readme_names_the_defaults_of_the_claim() -> None:
+    """By their number, or as the present ones."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    named = re.search(r"\[(?:defaults (\d+)|present defaults)\]\(docs/results/index\.md#defaults\)", text)
+    state = STATE.search((ROOT / "docs/results/claim.md").read_text(encoding="utf-8"))
+    assert named
+    assert state
+    assert int(named[1] or present_state()[0]) == int(state[1])
 
 
 # Cost limits
