@@ -12,7 +12,8 @@ instead of moment by moment.
 >>> observation, info = env.reset(seed=1)
 >>> observation, reward, cost, terminated, truncated, info = env.step(env.action_space.sample())
 
-From inside to outside: ``EpisodeStatistics``, Gymnasium's ``Autoreset``, ``SafetyGymnasium``. Another order is refused.
+From inside to outside: ``EpisodeStatistics``, Gymnasium's ``Autoreset``, ``SafetyGymnasium``. Another order is refused,
+of these wrappers when they are made, of Gymnasium's and stable-baselines3's at a step.
 ``SafetyGymnasiumVector`` is for vector environments.
 """
 
@@ -20,7 +21,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import FrameType
 from typing import Any, SupportsFloat
 
@@ -39,7 +40,8 @@ from lanebound.integrity.core.presets import nearest
 __all__ = ["CostIntoReward", "EpisodeStatistics", "SafetyGymnasium", "SafetyGymnasiumVector"]
 
 FIVE_VALUES = ("gymnasium", "stable_baselines3")  # packages whose wrappers and vectors unpack five values of a step
-PASS_ON = ("Wrapper.step", "OrderEnforcing.step")  # of Gymnasium's wrappers these return whatever a step gives
+# Of Gymnasium's wrappers these return whatever a step gives.
+PASS_ON = {f"{kind}Wrapper.step" for kind in ("", "Action", "Vector", "VectorAction")} | {"OrderEnforcing.step"}
 
 Env = gymnasium.Env[Any, Any]
 Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]
@@ -48,7 +50,15 @@ Started = tuple[Any, dict[str, Any]]
 
 
 class _OfLanebound(Wrapper):
-    """A wrapper that reads the ``info`` of lanebound's environments and refuses other environments."""
+    """A wrapper that reads the ``info`` of lanebound's environments and refuses other environments and vectors."""
+
+    def __init__(self, env: Env) -> None:
+        if isinstance(env, VectorEnv):
+            raise InputError(
+                f"env must be single, got {env}: wrap each environment in it, or use SafetyGymnasiumVector"
+            )
+        _refuse_six_values(type(self).__name__, env)
+        super().__init__(env)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Started:
         """Begin an episode.
@@ -75,37 +85,21 @@ class SafetyGymnasium(_OfLanebound, RecordConstructorArgs):
     Raises
     ------
     InputError
-        The environment is a vector; at the first step, a wrapper of Gymnasium or a vector is around it.
+        The environment is a vector or has six values already; at a step, a wrapper or vector of Gymnasium or
+        stable-baselines3 is around it.
     """
 
     def __init__(self, env: Env) -> None:
-        if isinstance(env, VectorEnv):
-            raise InputError(f"env must be a single environment, got {env}: use SafetyGymnasiumVector")
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        self._is_outermost = False  # not known before the first step
 
     def step(  # type: ignore[override]
         self, action: Any
     ) -> tuple[Any, SupportsFloat, float, bool, bool, dict[str, Any]]:
         """Carry out a command until the next decision."""
-        if not self._is_outermost:
-            self._require_outermost(sys._getframe(1))
+        _require_outermost(self, sys._getframe(1))
         observation, reward, terminated, truncated, info = self.env.step(action)
         return observation, reward, float(info["cost"]), terminated, truncated, info
-
-    def _require_outermost(self, caller: FrameType) -> None:
-        """Refuse a caller that takes five values of a step."""
-        while caller.f_code.co_qualname in PASS_ON and caller.f_back is not None:
-            caller = caller.f_back
-        if caller.f_globals.get("__name__", "").partition(".")[0] in FIVE_VALUES:
-            # The caller would end with "too many values to unpack", which names neither the wrapper nor the order.
-            around = caller.f_code.co_qualname.partition(".")[0]
-            raise InputError(
-                f"SafetyGymnasium must be around all other wrappers, got {around} around it, which takes five values: "
-                f"write SafetyGymnasium({around}(env)), or SafetyGymnasiumVector(envs) for a vector"
-            )
-        self._is_outermost = True
 
 
 class SafetyGymnasiumVector(VectorWrapper[Any, Any, Any, Any, Any]):
@@ -120,19 +114,72 @@ class SafetyGymnasiumVector(VectorWrapper[Any, Any, Any, Any, Any]):
     >>> observations, rewards, costs, terminated, truncated, infos = envs.step(envs.action_space.sample())
     >>> costs.shape
     (2,)
+
+    Raises
+    ------
+    InputError
+        The environment is no vector or has six values already; at a step, a vector wrapper of Gymnasium is around it.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
         if not isinstance(env, VectorEnv):
             raise InputError(f"env must be a vector environment, got {env}: use SafetyGymnasium")
+        _refuse_six_values(type(self).__name__, env)
         super().__init__(env)
 
     def step(  # type: ignore[override]
         self, actions: Any
     ) -> tuple[Any, Any, NDArray[np.float64], Any, Any, dict[str, Any]]:
         """Carry out a command in each environment until the next decision."""
+        _require_outermost(self, sys._getframe(1))
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         return observations, rewards, _costs(infos), terminated, truncated, infos
+
+
+def _layers(env: Any) -> Iterator[Any]:
+    """The wrappers of an environment, from outside to inside."""
+    while isinstance(env, gymnasium.Wrapper | VectorWrapper):
+        yield env
+        env = env.env
+
+
+def _refuse_six_values(name: str, env: Any) -> None:
+    """Refuse an environment whose steps have six values already, for a wrapper of that name."""
+    for layer in _layers(env):
+        if isinstance(layer, SafetyGymnasium | SafetyGymnasiumVector):
+            inner = type(layer).__name__
+            right = f"{inner}(env)" if name == inner else f"{inner}({name}(env))"
+            raise InputError(f"{inner} must be around all other wrappers, got {name} around it: write {right}")
+
+
+def _require_outermost(wrapper: SafetyGymnasium | SafetyGymnasiumVector, caller: FrameType) -> None:
+    """Refuse a caller that takes five values of a step.
+
+    It would end with "too many values to unpack", which names neither the wrapper nor the order. Constructors of
+    Gymnasium ask nothing of what they wrap, so a step is the first moment that shows who is around.
+    """
+    while caller.f_code.co_qualname in PASS_ON and caller.f_back is not None:
+        caller = caller.f_back
+    module = caller.f_globals.get("__name__", "")
+    if module.partition(".")[0] not in FIVE_VALUES:
+        return
+    around, own = _owner(caller), type(wrapper).__name__
+    # A function without an owner is internal, such as the loop of a worker process: its module is what users know.
+    taker = module if around is None else type(around).__name__
+    advice = "leave it out there, as info['cost'] has the cost; SafetyGymnasiumVector(envs) is for Gymnasium's vectors"
+    if isinstance(around, gymnasium.Wrapper | VectorWrapper):
+        advice = f"write {own}({taker}(env))"
+    wrong = f"{own} must be around all other wrappers, got {taker} around it, which takes five values"
+    raise InputError(f"{wrong}: {advice}")
+
+
+def _owner(frame: FrameType | None) -> Any:
+    """The object whose method runs in a frame, or called the function that does; None outside of ``FIVE_VALUES``."""
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in FIVE_VALUES:
+        if "self" in frame.f_locals:
+            return frame.f_locals["self"]
+        frame = frame.f_back
+    return None
 
 
 def _costs(infos: dict[str, Any]) -> NDArray[np.float64]:
@@ -158,7 +205,8 @@ class CostIntoReward(_OfLanebound, RecordConstructorArgs):
     Raises
     ------
     InputError
-        A negative or infinite weight, or a cause that does not exist, with the nearest one.
+        A negative or infinite weight, or a cause that does not exist, with the nearest one. The environment is a
+        vector, or ``SafetyGymnasium`` is inside.
     """
 
     def __init__(self, env: Env, weight: float | Mapping[str, float] = 1.0) -> None:
@@ -209,17 +257,15 @@ class EpisodeStatistics(_OfLanebound, RecordConstructorArgs):
     Raises
     ------
     InputError
-        ``Autoreset`` is inside: its episodes begin in a step, and statistics would go on from one to the next.
+        ``Autoreset`` is inside: its episodes begin in a step, and statistics would go on from one to the next. The
+        environment is a vector, or ``SafetyGymnasium`` is inside.
     """
 
     def __init__(self, env: Env) -> None:
-        inner: Any = env
-        while isinstance(inner, gymnasium.Wrapper):
-            if isinstance(inner, Autoreset):
-                raise InputError(
-                    "EpisodeStatistics must be inside Autoreset, got it around: write Autoreset(EpisodeStatistics(env))"
-                )
-            inner = inner.env
+        if any(isinstance(layer, Autoreset) for layer in _layers(env)):
+            raise InputError(
+                "EpisodeStatistics must be inside Autoreset, got it around: write Autoreset(EpisodeStatistics(env))"
+            )
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
         self._totals = EpisodeTotals(1)

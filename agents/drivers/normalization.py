@@ -96,7 +96,8 @@ def require_plain(model: Any, name: str) -> None:
     """Refuse a policy that was trained on normalized observations, whose statistics nobody has added.
 
     Observations of lanebound lie within finite bounds. A checkpoint holds the last one of its training, which
-    ``VecNormalize`` takes out of the bounds; Gymnasium's ``NormalizeObservation`` declares none.
+    ``VecNormalize`` usually takes out of the bounds; Gymnasium's ``NormalizeObservation`` declares none. A checkpoint
+    whose last observation lies within the bounds, or was not saved, leaves no trace and passes.
 
     Raises
     ------

@@ -183,6 +183,19 @@ def test_rewards_alone_may_be_normalized_and_statistics_of_others_are_refused(tm
             make_agent(str(damaged), single)
 
 
+def test_normalization_is_not_seen_where_the_last_observation_was_not_saved(tmp_path):
+    """A limit that docs/training.md names."""
+    path, again = tmp_path / "model.zip", tmp_path / "again.zip"
+    model, envs, single = _trained(path, FLAT, "MlpPolicy")
+    PPO.load(path).save(again)
+    with pytest.raises(InputError, match="must hold the statistics"):
+        make_agent(str(again), single)
+    PPO.load(path, env=envs).save(again)
+    assert type(make_agent(str(again), single)) is PPO
+    model.save(again, exclude=["_last_obs"])
+    assert type(make_agent(str(again), single)) is PPO
+
+
 def test_a_policy_of_observations_without_bounds_is_refused(tmp_path):
     single = open_env("LaneKeeping", GIVEN | FLAT)
     model = PPO("MlpPolicy", NormalizeObservation(single), policy_kwargs={"net_arch": [8]}, device="cpu")

@@ -12,7 +12,19 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import data_equivalence
-from gymnasium.wrappers import Autoreset, FlattenObservation, RecordEpisodeStatistics, TimeLimit
+from gymnasium.vector import VectorWrapper
+from gymnasium.wrappers import (
+    Autoreset,
+    FlattenObservation,
+    PassiveEnvChecker,
+    RecordEpisodeStatistics,
+    TimeLimit,
+    TransformAction,
+)
+from gymnasium.wrappers.vector import DictInfoToList
+from gymnasium.wrappers.vector import RecordEpisodeStatistics as VectorStatistics
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.wrappers import CostIntoReward, EpisodeStatistics, SafetyGymnasium, SafetyGymnasiumVector
@@ -188,25 +200,86 @@ def test_an_environment_of_somebody_else_is_refused() -> None:
             env.reset(seed=0)
 
 
-def test_another_order_of_wrappers_is_refused_by_name() -> None:
-    recorded = RecordEpisodeStatistics(SafetyGymnasium(Told({})))
-    recorded.reset()
-    with pytest.raises(InputError, match=r"got RecordEpisodeStatistics around it.* SafetyGymnasium\(RecordEpis"):
-        recorded.step(0)
-    again = Autoreset(SafetyGymnasium(Told({})))
-    again.reset()
-    with pytest.raises(InputError, match="got Autoreset around it"):
-        again.step(0)
-    vector = gym.vector.SyncVectorEnv([lambda: SafetyGymnasium(Told({}))])
+@pytest.mark.parametrize("outer", [EpisodeStatistics, CostIntoReward, SafetyGymnasium])
+def test_a_wrapper_around_six_values_is_refused_when_it_is_made(outer: Any) -> None:
+    right = "env" if outer is SafetyGymnasium else f"{outer.__name__}(env)"
+    for inner in (SafetyGymnasium(Told({})), TimeLimit(SafetyGymnasium(Told({})), 9)):
+        with pytest.raises(InputError) as refused:
+            outer(inner)
+        assert str(refused.value).endswith(f"got {outer.__name__} around it: write SafetyGymnasium({right})")
+    with pytest.raises(InputError, match="use SafetyGymnasiumVector"):
+        outer(SafetyGymnasiumVector(gym.vector.SyncVectorEnv([lambda: Told({})])))
+
+
+def around_single(outer: Any) -> Any:
+    env = outer(SafetyGymnasium(Told({}, {})))
+    env.reset()
+    return env
+
+
+def around_vector(outer: Any) -> Any:
+    envs = outer(SafetyGymnasiumVector(gym.vector.SyncVectorEnv([lambda: Told({}, {})])))
+    envs.reset()
+    return envs
+
+
+@pytest.mark.parametrize(
+    ("env", "right"),
+    [
+        (around_single(RecordEpisodeStatistics), "SafetyGymnasium(RecordEpisodeStatistics(env))"),
+        (around_single(Autoreset), "SafetyGymnasium(Autoreset(env))"),
+        (around_single(PassiveEnvChecker), "SafetyGymnasium(PassiveEnvChecker(env))"),
+        (around_single(lambda env: gym.Wrapper(Monitor(env))), "SafetyGymnasium(Monitor(env))"),
+        (around_vector(VectorStatistics), "SafetyGymnasiumVector(RecordEpisodeStatistics(env))"),
+        (around_vector(lambda envs: VectorWrapper(DictInfoToList(envs))), "SafetyGymnasiumVector(DictInfoToList(env))"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_wrapper_that_takes_five_values_is_refused_at_each_step(env: Any, right: str) -> None:
+    action = np.zeros(1, dtype=np.int64) if isinstance(env, gym.vector.VectorEnv) else 0
+    for _ in range(2):
+        with pytest.raises(InputError) as refused:
+            env.step(action)
+        assert str(refused.value).endswith(f"takes five values: write {right}")
+
+
+def test_a_wrapper_that_is_added_after_a_step_is_refused() -> None:
+    env = SafetyGymnasium(Told({}, {}, {}))
+    env.reset()
+    env.step(0)
+    with pytest.raises(InputError, match="got RecordEpisodeStatistics around it"):
+        RecordEpisodeStatistics(env).step(0)
+
+
+@pytest.mark.filterwarnings("ignore:.*ERROR:UserWarning")  # what Gymnasium tells of a worker process that ended
+def test_vectors_of_six_values_are_refused_without_names_of_internal_functions() -> None:
+    makers: list[Any] = [lambda: SafetyGymnasium(Told({}))]
+    vector = gym.vector.SyncVectorEnv(makers)
     vector.reset()
     with pytest.raises(InputError, match=r"got SyncVectorEnv around it.* SafetyGymnasiumVector\(envs\)"):
         vector.step(np.zeros(1, dtype=np.int64))
+    processes = gym.vector.AsyncVectorEnv(makers)
+    processes.reset()
+    with pytest.raises(InputError, match=r"got gymnasium\.vector\.async_vector_env around it") as refused:
+        processes.step(np.zeros(1, dtype=np.int64))
+    assert "worker" not in str(refused.value)
+    processes.close(terminate=True)
+    for_sb3 = DummyVecEnv(makers)
+    for_sb3.reset()
+    with pytest.raises(InputError, match=r"got DummyVecEnv around it.* info\['cost'\] has the cost"):
+        for_sb3.step(np.zeros(1, dtype=np.int64))
+
+
+def test_another_order_of_wrappers_is_refused_by_name() -> None:
     with pytest.raises(InputError, match=r"write Autoreset\(EpisodeStatistics\(env\)\)"):
         EpisodeStatistics(Autoreset(Told({})))
+    envs = gym.vector.SyncVectorEnv([lambda: Told({})])
     with pytest.raises(InputError, match="use SafetyGymnasiumVector"):
-        SafetyGymnasium(gym.vector.SyncVectorEnv([lambda: Told({})]))  # type: ignore[arg-type]
+        SafetyGymnasium(envs)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"use SafetyGymnasium$"):
         SafetyGymnasiumVector(Told({}))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"write SafetyGymnasiumVector\(env\)$"):
+        SafetyGymnasiumVector(VectorWrapper(SafetyGymnasiumVector(envs)))
 
 
 def test_the_orders_that_the_page_names_work_over_two_episodes() -> None:
@@ -215,9 +288,12 @@ def test_the_orders_that_the_page_names_work_over_two_episodes() -> None:
     steps = [env.step(0) for _ in range(5)]
     assert [step[2] for step in steps] == [1.0, 2.0, 0.0, 1.0, 2.0]
     assert [step[5]["episode_integrity"]["cost"] for step in (steps[1], steps[4])] == [3.0, 3.0]
-    passed_on = gym.Wrapper(SafetyGymnasium(Told({"cost": 1.0})))
+    passed_on = TransformAction(gym.Wrapper(SafetyGymnasium(Told({"cost": 1.0}))), lambda action: action, None)
     passed_on.reset()
     assert len(passed_on.step(0)) == 6
+    vector = VectorWrapper(SafetyGymnasiumVector(gym.vector.SyncVectorEnv([lambda: Told({"cost": 1.0})])))
+    vector.reset()
+    assert len(vector.step(np.zeros(1, dtype=np.int64))) == 6
 
 
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
