@@ -37,4 +37,4 @@ def draw(seed: int, file: Path) -> None:
 
 
 if __name__ == "__main__":
-    draw(int(sys.argv[1]) if len(sys.argv) > 1 else 10_003, Path(__file__).with_name("urban-canyon.png"))
+    draw(int(sys.argv[1]) if len(sys.argv) > 1 else 10_002, Path(__file__).with_name("urban-canyon.png"))
