@@ -43,9 +43,11 @@ from lanebound.integrity.replay.sensor_checks import (
     SPEED,
     YAW_RATE,
     Agreement,
+    Quantity,
     correlation,
     require_agreement,
     require_lag,
+    require_throughout,
 )
 
 __all__ = [
@@ -176,6 +178,14 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     )
     pushes = require_agreement(ACCELERATION, "g", "the log", ahead[part], forward[part], seconds)
     climbs = _slopes_agree(track, at, speed, [pitched, *mirrored], part, config)
+    driven = np.flatnonzero(known & ~bridged & (speed > MOVING_MPS))
+
+    def throughout(quantity: Quantity, unit: str, true: Array, value: Array) -> None:
+        since_s = at[driven] - log.gps_time_s[0]
+        require_throughout(quantity, unit, "the log", since_s, true[driven], lambda by: sensed(value, by)[driven], lag)
+
+    throughout(YAW_RATE, "deg/s", turning, rates[:, 2])
+    throughout(ACCELERATION, "g", ahead, level.force_mps2[:, :2] @ [c, s])
     motion = InertialMotion(at - at[0], place, heading, speed, forward, pitched, yaw - bias, known, first, bridged)
     agreements = {"yaw rate": turns, "forward acceleration": pushes, "pitch rate": climbs}
     return motion, {

@@ -148,7 +148,7 @@ def test_the_command_s_results_and_lines_that_end_in_two_characters(tmp_path: Pa
     with pytest.raises(InputError, match="must move for 900 s of calibration"):
         replay_folder(tmp_path, out, {"calibration_s": 900.0})
     (tmp_path / "second.pos").touch()
-    with pytest.raises(InputError, match=r"must have one \*.pos beside its inertial log, has gnss_1834.pos, second"):
+    with pytest.raises(InputError, match=r"must have one \*.pos next to its inertial log, has gnss_1834.pos, second"):
         replay_folder(tmp_path, out)
 
 
