@@ -29,6 +29,7 @@ from lanebound.integrity.recorded.rinex_header import (
     HeaderBuilder,
     b1_in_band_2,
 )
+from lanebound.integrity.recorded.series import in_order
 from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
 from lanebound.integrity.sky.systems import PRN_BEFORE
 
@@ -122,7 +123,8 @@ class Observations:
         garbled = f"{self.garbled} values left out that are no numbers" if self.garbled else ""
         twice = f"{self.twice} rows left out of satellites that their epochs have already" if self.twice else ""
         moves = f"{self.moves[0]}, not followed" if self.moves else ""
-        return "; ".join(text for text in (str(self.stopped or ""), late, rows, garbled, twice, moves) if text)
+        gaps = in_order("", self.since(0))[1].note
+        return "; ".join(text for text in (str(self.stopped or ""), late, gaps, rows, garbled, twice, moves) if text)
 
     @property
     def half_cycle_share(self) -> float:

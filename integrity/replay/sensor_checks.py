@@ -172,7 +172,7 @@ def require_throughout(
     quantity: Quantity, unit: str, where: str, time_s: Array, reference: Array, sensed: Callable[[float], Array],
     lag_s: float,
 ) -> None:  # fmt: skip
-    """Test the windows of a whole drive: reference (N,) at times (N,) from its start, ``sensed`` and lag of require_lag.
+    """Test the windows of a drive: reference (N,) at times (N,) from its start, ``sensed`` and lag of require_lag.
 
     Raises
     ------

@@ -251,7 +251,7 @@ def test_damage_is_named(tmp_path: Path, old: str, new: str, message: str) -> No
 
 
 def test_rows_of_systems_without_codes_are_counted(tmp_path: Path) -> None:
-    more = rinex_epoch(5.0, rinex_satellite("G05", 2e7), rinex_satellite("S27", 3.8e7), rinex_satellite("R01", 2e7))
+    more = rinex_epoch(2.0, rinex_satellite("G05", 2e7), rinex_satellite("S27", 3.8e7), rinex_satellite("R01", 2e7))
     found = read_observations(written(tmp_path, RINEX + more))
     assert found.rows["G"].satellite.tolist() == [5, 7, 5, 5]
     assert found.undeclared == {"S": 1, "R": 1}
@@ -288,6 +288,11 @@ def test_epochs_that_are_not_later_are_left_out_and_counted(tmp_path: Path) -> N
     assert found.rows["G"].satellite.tolist() == [5, 7, 5, 5]
     assert found.left_out == 2
     assert found.note.startswith("2 epochs left out")
+
+
+def test_gaps_are_told(tmp_path: Path) -> None:
+    epochs = [rinex_epoch(t, rinex_satellite("G05", 2e7, 1e8)) for t in (2.0, 12.0, 13.0)]
+    assert read_observations(written(tmp_path, "".join([RINEX, *epochs]))).note == "1 gap, the longest of 10.00 s"
 
 
 def test_joined_files_and_padded_lines(tmp_path: Path) -> None:
