@@ -176,6 +176,19 @@ def test_outages_at_a_gap_are_left_out_and_counted(tmp_path: Path, folder: Path)
     assert [found["all_ages"][axis]["exceeded"] for axis in ("at", "ct")] == [0, 0]
 
 
+def test_a_gap_of_the_solution_counts_and_one_of_the_log_in_the_calibration_is_refused(tmp_path: Path) -> None:
+    config = ImuOutageConfig()
+    log, track = _read(_write(tmp_path))
+    whole = run_inertial_outages(motion_of_log(log, track, config)[0], config)
+    path = tmp_path / "gnss_1834.pos"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:481] + lines[540:]) + "\n")  # 15 s after 120 s
+    holed = run_inertial_outages(motion_of_log(log, read_rtk_solution(path), config)[0], config)
+    assert 28 <= holed.left_out == whole.start_s.size - holed.start_s.size <= 31
+    with pytest.raises(InputError, match=r"without gaps until its calibration ends, .* has 1 gap, the longest of 10\."):
+        replay_folder(_write(tmp_path, gap_s=(40.0, 50.0)), tmp_path / "out")
+
+
 @pytest.mark.parametrize(("change", "message"), [
     (lambda f, w: (f, np.radians(w)), r"yaw rate of the log .* slope on it is 0\.017.* correlation 1.*in rad/s, not"),
     (lambda f, w: (f, w * [1, 1, -1]), r"yaw rate of the log .* slope on it is -\d.*: its sign is reversed"),
