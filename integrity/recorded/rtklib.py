@@ -239,11 +239,12 @@ def _ecef(place: Array, time_s: Array, head: _Head, path: str | Path) -> Array:
     coarse = head.form == DEG and head.decimals < FEWEST_DECIMALS
     away = 0.0 if head.base_m is None else float(np.linalg.norm(np.median(found, axis=0) - head.base_m))
     length = float(np.linalg.norm(np.median(found, axis=0)))
+    apart = f", {away / 1000.0:.0f} km from ref pos" if away else ""
     if away > FARTHEST_M or pace > FASTEST_MPS or coarse or not 6.0e6 < length < 7.0e6:
         raise InputError(
             f"{path} must hold positions as {head.form}, {'as its head says' if head.named else 'without a head'}, the "
             f"first is {', '.join(f'{v:g}' for v in place[0])} with {head.decimals} decimals, most move at "
-            f"{pace:.0f} m/s{f', {away / 1000.0:.0f} km from ref pos' if away else ''}: are these baselines (e/n/u)? Set "
+            f"{pace:.0f} m/s{apart}: are these baselines (e/n/u)? Set "
             "out-solformat of RTKLIB to llh or xyz, and keep the head (out-outhead)"
         )
     return np.asarray(found)

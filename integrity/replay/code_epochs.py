@@ -7,6 +7,7 @@ minute best. No truth enters the epochs.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -52,6 +53,7 @@ NEAR_M = 30.0  # of a receiver from its codes; further is doubtful: codes with m
 WRONG_M = 100.0  # what codes cannot be wrong by
 MISFIT_M = 100.0  # deviation of codes that no position explains; 1 s of time is up to 800 m
 GLONASS_AHEAD_S = 10_800.0  # of UTC
+CLOCK_S = 8.0  # up to which the error of a clock is found
 SAMPLES = 40  # epochs of which positions are computed
 FEWEST = 6  # satellites
 LOWEST_RAD = np.deg2rad(10.0)
@@ -145,23 +147,36 @@ def require_gps_time(
         return own
     found = "give no position" if own.misfit_m is None else f"deviate by {own.misfit_m:,.0f} m from any position"
     leap_s = float(leap_seconds(np.array(observations.week[0] * WEEK_S + observations.tow_s[0])))
-    for scale, behind_s in (
-        ("BDT without its label; write BDT into columns 49 to 51 of TIME OF FIRST OBS", BDT_BEHIND_GPS_S),
-        ("UTC; convert the file to GPS time", leap_s),
-        ("GLONASS time; convert the file to GPS time", leap_s - GLONASS_AHEAD_S),
-        ("GPS time with the label BDT; correct TIME OF FIRST OBS", -BDT_BEHIND_GPS_S),
-        ("GPS time with leap seconds added twice; convert the file to GPS time", -leap_s),
-    ):
+
+    def misfit_m(behind_s: float) -> float:
         tow_s = observations.tow_s + behind_s
         over = np.floor_divide(tow_s, WEEK_S)
         moved = replace(observations, week=observations.week + over.astype(np.int64), tow_s=tow_s - WEEK_S * over)
         misfit = CodePlaces(moved, codes, choice, table, ionosphere).misfit_m
-        if misfit is not None and misfit <= MISFIT_M:
+        return math.inf if misfit is None else misfit
+
+    scales = {
+        BDT_BEHIND_GPS_S: "in BDT without its label; write BDT into columns 49 to 51 of TIME OF FIRST OBS",
+        leap_s: "in UTC; convert the file to GPS time",
+        leap_s - GLONASS_AHEAD_S: "in GLONASS time; convert the file to GPS time",
+        -BDT_BEHIND_GPS_S: "in GPS time with the label BDT; correct TIME OF FIRST OBS",
+        -leap_s: "in GPS time with leap seconds added twice; convert the file to GPS time",
+    }
+    other = "of a clock that is off; correct the times"
+    for behind_s in (*scales, _clock_error_s(misfit_m)):
+        misfit = misfit_m(behind_s)
+        if misfit <= MISFIT_M:
             raise InputError(
-                f"times of the {name} must be GPS time, its codes {found}, and "
-                f"deviate by {misfit:.0f} m with times {behind_s:+g} s later: they are probably {scale}"
+                f"times of the {name} must be GPS time, its codes {found}, and deviate by {misfit:.0f} m with times "
+                f"{behind_s:+.6g} s later: they are probably {scales.get(behind_s, other)}"
             )
     return own
+
+
+def _clock_error_s(misfit_m: Callable[[float], float]) -> float:
+    """By how much times are too early, to 0.1 s, where the deviation of codes is in proportion to it; 0 elsewhere."""
+    before, after = misfit_m(-CLOCK_S), misfit_m(CLOCK_S)
+    return round(CLOCK_S * (before - after) / (before + after), 1) if before + after < math.inf else 0.0
 
 
 def _least_squares(
