@@ -25,6 +25,7 @@ from lanebound.integrity.recorded.smartloc import Odometry, SmartLoc
 from lanebound.integrity.replay.differences import Arc, arc_of, troposphere_m
 from lanebound.integrity.replay.reckoning import reckon
 from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.replay.sensor_checks import require_same_times
 from lanebound.integrity.replay.signal_choice import Choice
 from lanebound.integrity.replay.window import LocalFrame
 from lanebound.integrity.sky.broadcast import Ephemerides
@@ -225,7 +226,7 @@ def recorded_epochs(drive: SmartLoc, cn0_min_dbhz: float = LEAST_DBHZ) -> Tracke
     Raises
     ------
     InputError
-        No epoch determines a position.
+        No epoch determines a position, or positions are those of other times of the truth.
     """
     r = drive.ranges
     time, epoch = np.unique(r.time_s, return_inverse=True)
@@ -250,7 +251,11 @@ def recorded_epochs(drive: SmartLoc, cn0_min_dbhz: float = LEAST_DBHZ) -> Tracke
         elevation_rad=table(r.elevation_rad), drive=np.zeros(time.size, np.int64),
     )  # fmt: skip
     epochs = _settled(plain, place, range_m, frame)
-    step, sigma = reckoned_steps(drive.odometry, time, solve_codes(epochs).x_m[:, :2])
+    fixes = solve_codes(epochs).x_m
+    if drive.truth is not None:
+        there = frame.local(drive.truth.position_ecef_m)[:, :2]  # heights from codes are off by the delays in the air
+        require_same_times("pseudorange3", time, fixes[:, :2], drive.truth.time_s, there)
+    step, sigma = reckoned_steps(drive.odometry, time, fixes[:, :2])
     truth, known = np.zeros((time.size, 3)), np.zeros(time.size, bool)
     if drive.truth is not None:
         ecef, known = drive.truth.at(time)

@@ -130,6 +130,7 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         raise InputError(
             "the solution must have velocities in all rows, has none in some: set out-outvel of RTKLIB to on"
         )
+    _require_signals(log)
     level, roll, pitch = levelled(log, config.rest_s)
     rates = _rates(log, config)
     start, end = max(log.gps_time_s[0], track.gps_time_s[0]), min(log.gps_time_s[-1], track.gps_time_s[-1])
@@ -199,6 +200,17 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         "coherence": coherence, "lag_s": lag, "yaw_bias_degps": math.degrees(bias), "from_s": float(at[first] - at[0]),
         "agreement": {name: found.figures() for name, found in agreements.items()},
     }  # fmt: skip
+
+
+def _require_signals(log: ImuLog) -> None:
+    """Refuse a column of one value, in which levelling would mix parts of other axes."""
+    for sensor, values in (("force", log.force_mps2), ("rate", log.rate_radps)):
+        for axis, column in zip("xyz", values.T, strict=True):
+            if np.ptp(column) == 0.0:
+                raise InputError(
+                    f"{sensor} {axis} of the log must change, all {column.size} rows have one value: the axis has no "
+                    "signal; correct the columns"
+                )
 
 
 def _rates(log: ImuLog, config: ImuOutageConfig) -> Array:

@@ -23,6 +23,7 @@ from lanebound.integrity.replay.sensor_checks import (
     likely_unit,
     require_agreement,
     require_lag,
+    require_same_times,
     require_throughout,
 )
 
@@ -67,6 +68,11 @@ class _Reference:
         must hold throughout."""
         at = self.time_s[keep]
         inside = at[(at > time_s[0] + LAG_S) & (at < time_s[-1] - LAG_S)]
+        if at.size and not inside.size:
+            raise InputError(
+                f"times of {where} must be those of the reference, {at[0]:.1f} to {at[-1]:.1f} s, got "
+                f"{time_s[0]:.1f} to {time_s[-1]:.1f} s: are they of one clock, and in s?"
+            )
         wanted = reference[np.isin(self.time_s, inside)]
         means = _means(time_s, value, inside)
         lag, sensed = require_lag(where, wanted, means, quantity)
@@ -169,6 +175,9 @@ def _check_fixes(segment: Comma, motion: _Reference, place: Array, axes: Array, 
         ecef = ecef_from_geodetic(latitude[inside], longitude[inside], np.full(time.size, height))
         return float(np.median(np.linalg.norm(((ecef - r.position_ecef_m[0]) @ axes)[:, :2] - true, axis=-1)))
 
+    fixed = ecef_from_geodetic(np.radians(f.latitude_deg), np.radians(f.longitude_deg), np.full(f.time_s.size, height))
+    fixed_m = ((fixed - r.position_ecef_m[0]) @ axes)[:, :2]
+    require_same_times("GNSS/live_gnss_ublox", f.time_s, fixed_m, r.time_s, place)
     lat, lon = np.radians(f.latitude_deg), np.radians(f.longitude_deg)
     off = away(lat, lon)
     if off > AWAY_M:

@@ -193,6 +193,7 @@ def test_a_gap_of_the_solution_counts_and_one_of_the_log_in_the_calibration_is_r
     (lambda f, w: (f, np.radians(w)), r"yaw rate of the log .* slope on it is 0\.017.* correlation 1.*in rad/s, not"),
     (lambda f, w: (f, w * [1, 1, -1]), r"yaw rate of the log .* slope on it is -\d.*: its sign is reversed"),
     (lambda f, w: (f, w[:, [2, 0, 1]]), "another axis"),
+    (lambda f, w: (f, w * [1, 1, 0]), "rate z of the log must change, all 12000 rows have one value"),
     (lambda f, w: (f, w * [1, -1, 1]), "with one axis of the gyro or the accelerometer mirrored"),
     (lambda f, w: (f * [-1, -1, 1], w), "with one axis of the gyro or the accelerometer mirrored"),
     (lambda f, w: (f * G_MPS2, w), r"mean force of 96.* it is probably in m/s\^2, not in g"),

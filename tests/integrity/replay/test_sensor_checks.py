@@ -139,7 +139,7 @@ def test_a_part_of_a_drive_that_contradicts_is_refused_with_its_time(
     quantity: Quantity, truth: np.ndarray, change, message: str
 ) -> None:
     unit = {"yaw rate": "deg/s", "speed": "m/s", "acceleration": "g"}[quantity.name]
-    reference, sane = noisy(truth, 0.02 * quantity.strong), noisy(truth, 0.02 * quantity.strong, 2)
+    reference, sane = noisy(truth, 0.1 * quantity.strong), noisy(truth, 0.02 * quantity.strong, 2)
     part = np.where((TIME >= 30.0) & (TIME < 42.0), change(sane), sane)
     require_throughout(quantity, unit, "log", TIME, reference, lambda lag: np.interp(TIME + lag, TIME, sane), 0.0)
     with pytest.raises(InputError, match=message):
