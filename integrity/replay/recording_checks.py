@@ -171,14 +171,15 @@ def _check_fixes(segment: Comma, motion: _Reference, place: Array, axes: Array, 
     time = f.time_s[inside]
     true = np.stack([np.interp(time, r.time_s, column) for column in place.T], -1)
 
-    def away(latitude: Array, longitude: Array) -> float:
-        ecef = ecef_from_geodetic(latitude[inside], longitude[inside], np.full(time.size, height))
-        return float(np.median(np.linalg.norm(((ecef - r.position_ecef_m[0]) @ axes)[:, :2] - true, axis=-1)))
+    def local(latitude: Array, longitude: Array) -> Array:
+        ecef = ecef_from_geodetic(latitude, longitude, np.full(f.time_s.size, height))
+        return np.asarray(((ecef - r.position_ecef_m[0]) @ axes)[:, :2])
 
-    fixed = ecef_from_geodetic(np.radians(f.latitude_deg), np.radians(f.longitude_deg), np.full(f.time_s.size, height))
-    fixed_m = ((fixed - r.position_ecef_m[0]) @ axes)[:, :2]
-    require_same_times("GNSS/live_gnss_ublox", f.time_s, fixed_m, r.time_s, place)
+    def away(latitude: Array, longitude: Array) -> float:
+        return float(np.median(np.linalg.norm(local(latitude, longitude)[inside] - true, axis=-1)))
+
     lat, lon = np.radians(f.latitude_deg), np.radians(f.longitude_deg)
+    require_same_times("GNSS/live_gnss_ublox", f.time_s, local(lat, lon), r.time_s, place)
     off = away(lat, lon)
     if off > AWAY_M:
         forms = {"in radians": (f.latitude_deg, f.longitude_deg), "exchanged": (lon, lat)}

@@ -29,7 +29,6 @@ SLOPES = 0.75, 1.3  # of a sensor in its unit; wheels and gyros are good to some
 LEAST_CORRELATION = 0.5  # of a sensor that follows a motion
 LASTING_S = 1.0  # errors of a reference last as long
 SURE = 3.0  # deviations
-LEAST_DEAD = 100  # equal values of a sensor without a signal
 LIKE = 0.1  # relative, of the slope of a unit
 LAG_S, LAG_STEP_S, LONGEST_LAG_S = 0.5, 0.01, 20.0
 NEARER = 3.0  # times nearer are positions whose times are right
@@ -106,8 +105,7 @@ def require_agreement(
     follows = fit2 >= LEAST_CORRELATION**2
     low, high = max(abs(slope) - SURE * spread, 0.0), (abs(slope) + SURE * spread) / max(fit2, 1e-9)
     wrong = slope < 0.0 or low > SLOPES[1] or high < SLOPES[0]
-    dead = quantity.biased and ss == 0.0 and reference.size >= LEAST_DEAD  # even at rest a gyro has noise
-    if (follows and wrong) or (strong and not follows) or dead:
+    if (follows and wrong) or (strong and not follows):
         raise InputError(
             f"{quantity.name} of {where} must follow the reference, the slope on it is {slope:.3g} and the correlation "
             f"{alike:.2f}: {_likely(quantity, unit, slope, (low, high), follows)}"
