@@ -282,7 +282,7 @@ def _gathered(c: FilterConfig, sensors: SensorDrive, found: Sequence[tuple[Recor
         "nis": out["nis"][:, 0], "curved": out["curved"], "mode": out["mode"], "alert": out["alert"],
         "available": out["available"], "used": out["used"], "rejected": out["rejected"],
     }  # fmt: skip
-    return FilterDrive(c, sensors, **values)  # type: ignore[arg-type]
+    return FilterDrive(c, sensors, **values)
 
 
 Array = NDArray[np.float64]
