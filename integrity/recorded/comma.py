@@ -22,6 +22,7 @@ from lanebound.integrity.recorded.source import MAX_BYTES
 __all__ = ["Comma", "ReceiverFixes", "Reference", "Series", "read_comma", "read_rows"]
 
 Array = NDArray[np.float64]
+SLOWEST_S = 5.0  # between rows; the slowest series has some ten rows a second
 MAX_HEADER = 4096  # bytes; the header of a plain array has 118
 
 
@@ -102,7 +103,7 @@ def read_comma(folder: str | Path) -> Comma:
     velocity = reader.rows(pose / "frame_velocities", 3)
     turn = reader.rows(pose / "frame_orientations", 4)
     n = min(map(len, (time, position, velocity, turn)))
-    keep, timing = in_order("global_pose/frame_times", time[:n])
+    keep, timing = _ordered("global_pose/frame_times", time[:n])
     reference = Reference(time[:n][keep], position[:n][keep], velocity[:n][keep], turn[:n][keep], timing)
     speed, wheels = reader.series("CAN/speed"), reader.series("CAN/wheel_speed", 4)
     acceleration, rate = reader.series("IMU/accelerometer", 3), reader.series("IMU/gyro", 3)
@@ -151,6 +152,14 @@ def read_rows(path: str | Path, columns: int | None, max_bytes: int = MAX_BYTES)
     return numbers
 
 
+def _ordered(name: str, time_s: Array) -> tuple[NDArray[np.bool_], Timing]:
+    """As in_order, of times that must be in seconds."""
+    usual_s = float(np.median(np.abs(np.diff(time_s)))) if time_s.size > 1 else 0.0
+    if usual_s > SLOWEST_S:
+        raise InputError(f"{name} must be in s, most rows are {usual_s:g} s apart: are they in ms? Convert them")
+    return in_order(name, time_s)
+
+
 def _fixes(reader: _Reader) -> ReceiverFixes | None:
     """Columns of live_gnss: latitude, longitude, speed, time stamp, altitude, course."""
     if reader.path(Path("GNSS/live_gnss_ublox/t")) is None:
@@ -187,5 +196,5 @@ class _Reader:
         """The series of ``NAME/t`` and ``NAME/value``, cut to the shorter of the two."""
         time, value = self.rows(Path(name) / "t"), self.rows(Path(name) / "value", columns)
         n = min(len(time), len(value))
-        keep, timing = in_order(f"{name}/t", time[:n])
+        keep, timing = _ordered(f"{name}/t", time[:n])
         return Series(time[:n][keep], value[:n][keep], timing)

@@ -66,7 +66,8 @@ class Header:
     ``codes`` are the observation codes of each system letter in the order of their columns, BeiDou's B1I in band 2 for
     all versions (:func:`b1_in_band_2`); ``scale`` divides the stored values of (system, code); ``channel`` is the
     frequency number of a GLONASS satellite; ``position_ecef_m`` is the position of the marker or None;
-    ``antenna_delta_enu_m`` is the vector from the marker to the antenna reference point.
+    ``antenna_delta_enu_m`` is the vector from the marker to the antenna reference point; ``antenna_delta_body_m`` is
+    that of a vehicle on its own axes.
     """
 
     version: float
@@ -81,6 +82,7 @@ class Header:
     interval_s: float | None
     time_system: str
     leap_s: int | None
+    antenna_delta_body_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def antenna_ecef_m(self) -> NDArray[np.float64] | None:
@@ -102,6 +104,7 @@ class HeaderBuilder:
     antenna: str = ""
     position: tuple[float, float, float] | None = None
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    body: tuple[float, float, float] = (0.0, 0.0, 0.0)
     codes: dict[str, list[str]] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     scale: dict[tuple[str, str], float] = field(default_factory=dict)
@@ -138,7 +141,8 @@ class HeaderBuilder:
             self.version, self.marker, self.receiver, self.antenna, self.position, self.offset,
             {s: self._columns(s, c) for s, c in self.codes.items()},
             {(s, self._named(s, code)): factor for (s, code), factor in self.scale.items()},
-            dict(self.channel), self.interval, self.time_system or "GPS", self.leap,
+            dict(self.channel), self.interval, self.time_system or ("BDT" if set(self.codes) == {"C"} else "GPS"),
+            self.leap, self.body,
         )  # fmt: skip
 
     def _columns(self, system: str, codes: list[str]) -> tuple[str, ...]:
@@ -167,12 +171,15 @@ class HeaderBuilder:
             raise ValueError(f"the file must hold observations ('O'), got {text[20:40].strip()!r}")
 
     def _position(self, text: str) -> None:
-        x, y, z = (finite_number(text[14 * i : 14 * i + 14], -1e8, 1e8) for i in range(3))
-        self.position = (x, y, z) if any((x, y, z)) else None
+        place = _triple(text, 1e8)
+        self.position = place if any(place) and all(text[14 * i : 14 * i + 14].strip() for i in range(3)) else None
 
     def _offset(self, text: str) -> None:
-        up, east, north = (finite_number(text[14 * i : 14 * i + 14], -1e4, 1e4) for i in range(3))
+        up, east, north = _triple(text, 1e4)
         self.offset = (east, north, up)
+
+    def _body(self, text: str) -> None:
+        self.body = _triple(text, 1e4)
 
     def _codes(self, text: str) -> None:
         if text[0] != " ":
@@ -238,6 +245,13 @@ class HeaderBuilder:
         self.ended = True
 
 
+def _triple(text: str, bound: float) -> tuple[float, float, float]:
+    """Three numbers of 14 columns, 0 for blanks."""
+    cells = text[:14], text[14:28], text[28:42]
+    x, y, z = (finite_number(cell, -bound, bound) if cell.strip() else 0.0 for cell in cells)
+    return x, y, z
+
+
 def b1_in_band_2(code: str, version: float) -> str:
     """Convert a BeiDou code to the name in all versions but 3.02: 1I, 1Q and 1X (1561.098 MHz) become 2I, 2Q and 2X.
 
@@ -257,6 +271,7 @@ READERS = {
     "ANT # / TYPE": HeaderBuilder._antenna,
     "APPROX POSITION XYZ": HeaderBuilder._position,
     "ANTENNA: DELTA H/E/N": HeaderBuilder._offset,
+    "ANTENNA: DELTA X/Y/Z": HeaderBuilder._body,
     "SYS / # / OBS TYPES": HeaderBuilder._codes,
     "SYS / SCALE FACTOR": HeaderBuilder._scale,
     "GLONASS SLOT / FRQ #": HeaderBuilder._channels,

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from lanebound.integrity.recorded.rinex_header import (
     HeaderBuilder,
     b1_in_band_2,
 )
+from lanebound.integrity.recorded.series import in_order
 from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
 from lanebound.integrity.sky.systems import PRN_BEFORE
 
@@ -43,8 +45,13 @@ WEEK_S = 604_800
 ORIGIN = date(1980, 1, 6)
 GOOD, POWER_FAILURE, CYCLE_SLIPS, MAX_FLAG, LEFT_OUT = 0, 1, 6, 6, 7  # of epochs; the last one is ours
 MAX_SATELLITES = 999
-SITE_LABELS = ("APPROX POSITION XYZ", "ANTENNA: DELTA H/E/N")
-STARTS_TO_MOVE, SAME_PLACE_M = 2, 0.01
+# Records of the place of the antenna: their field of the header, and of a HeaderBuilder
+SITE = {
+    "APPROX POSITION XYZ": ("position_ecef_m", "position"), "ANTENNA: DELTA H/E/N": ("antenna_delta_enu_m", "offset"),
+    "ANTENNA: DELTA X/Y/Z": ("antenna_delta_body_m", "body"),
+}  # fmt: skip
+STARTS_TO_MOVE, NEW_SITE, SAME_PLACE_M = 2, 3, 0.01
+MOST_BACK = 0.1  # share of epochs that go back, and repeat no time, beyond which a file is refused
 MOST_GARBLED = 20  # values that are no numbers; a file with more of them is damaged
 DATE_PARTS = ("year", "month", "day", "hour", "minute")
 SAME_TIME = ("GPS", "GAL", "QZS", "IRN", "BDT")
@@ -122,7 +129,8 @@ class Observations:
         garbled = f"{self.garbled} values left out that are no numbers" if self.garbled else ""
         twice = f"{self.twice} rows left out of satellites that their epochs have already" if self.twice else ""
         moves = f"{self.moves[0]}, not followed" if self.moves else ""
-        return "; ".join(text for text in (str(self.stopped or ""), late, rows, garbled, twice, moves) if text)
+        gaps = in_order("", self.since(0))[1].note
+        return "; ".join(text for text in (str(self.stopped or ""), late, gaps, rows, garbled, twice, moves) if text)
 
     @property
     def half_cycle_share(self) -> float:
@@ -212,6 +220,8 @@ class _Parser:
         self.undeclared: dict[str, int] = {}
         self.garbled, self.twice = 0, 0
         self.seen: set[str] = set()
+        self.times: set[tuple[int, float]] = set()
+        self.back = 0
         self.moves: list[Move] = []
 
     def unfinished(self) -> str:
@@ -247,7 +257,7 @@ class _Parser:
         if self.header is not None:
             if header.codes != self.header.codes or header.scale != self.header.scale:
                 raise ValueError("joined files must have the same observation codes: process them one by one")
-            for label in SITE_LABELS:
+            for label in SITE:
                 self._moved(label, self.builder)
             return
         self.header = header
@@ -263,15 +273,16 @@ class _Parser:
         if self.flag == STARTS_TO_MOVE:
             self._note_move("the antenna starts to move")
         if self.header is not None and self.left and self.flag not in (GOOD, POWER_FAILURE, CYCLE_SLIPS):
-            self.event = HeaderBuilder(
-                self.header.version, position=self.header.position_ecef_m, offset=self.header.antenna_delta_enu_m
-            )
+            site: dict[str, Any] = {of: getattr(self.header, field) for field, of in SITE.values()}
+            self.event = HeaderBuilder(self.header.version, marker=self.header.marker, **site)
         if self.flag in (GOOD, POWER_FAILURE):
             assert self.header is not None
             week, tow = _gps_time(text[1:29], BDT_BEHIND_GPS_S if self.header.time_system == "BDT" else 0.0)
             if self.tow and (week, tow) <= (self.week[-1], self.tow[-1]):
                 self.flag, self.left_out = LEFT_OUT, self.left_out + 1
+                self.back += (week, tow) not in self.times
                 return
+            self.times.add((week, tow))
             self.week.append(week)
             self.tow.append(tow)
             self.power.append(self.flag == POWER_FAILURE)
@@ -322,12 +333,16 @@ class _Parser:
         self.event.take(text)
         label = text[LABEL_AT:].strip()
         if label == "SYS / SCALE FACTOR" and text[:LABEL_AT].strip() and not self.event.scale:
-            raise ValueError("scale factors must not change inside the file: split it there")
-        if label in SITE_LABELS:
+            assert self.header is not None
+            system, factor, _ = self.event.scaled  # of all its codes
+            self.event.scale = {(system, code): factor for code in self.header.codes.get(system, ())}
+        if label in SITE:
             self._moved(label, self.event)
 
     def _end_event(self) -> None:
         """Refuse columns that an event changed; the same ones again change nothing."""
+        if self.flag == NEW_SITE and self.header is not None and self.event.marker != self.header.marker:
+            self._note_move(f"a new site is occupied, {self.event.marker}")
         event, self.event = self.event, HeaderBuilder()
         assert event.version is not None
         assert self.header is not None
@@ -343,13 +358,15 @@ class _Parser:
             raise ValueError("scale factors must not change inside the file: split it there")
 
     def _moved(self, label: str, later: HeaderBuilder) -> None:
-        """Keep that a record inside the file puts the antenna elsewhere."""
+        """Keep that a record inside the file puts the antenna elsewhere; before the first epoch it is the place."""
         assert self.header is not None
-        marker = label == SITE_LABELS[0]
-        old = self.header.position_ecef_m if marker else self.header.antenna_delta_enu_m
-        new = later.position if marker else later.offset
-        if old is not None and new is not None and math.dist(old, new) > SAME_PLACE_M:
-            self._note_move(f"{label} is {math.dist(old, new):.3f} m from that of the header", marker)
+        field, of = SITE[label]
+        old, new = getattr(self.header, field), getattr(later, of)
+        if not self.tow:
+            self.header = replace(self.header, **{field: new})
+        elif old is not None and new is not None and math.dist(old, new) > SAME_PLACE_M:
+            approximate = field == "position_ecef_m"
+            self._note_move(f"{label} is {math.dist(old, new):.3f} m from that of the header", approximate)
 
     def _note_move(self, what: str, approximate: bool = False) -> None:
         if self.tow:
@@ -359,6 +376,11 @@ class _Parser:
         """Arrays of all complete epochs."""
         assert self.header is not None
         n = self.done
+        found = self.back + len(self.tow)
+        if self.back > MOST_BACK * found:  # most would be lost
+            raise InputError(
+                f"{path} must have epochs whose times increase, {self.back} of {found} go back: sort them by time"
+            )
         if n == 0:
             raise InputError(f"{path} must hold at least one complete epoch, got none ({stopped or 'the file ends'})")
         week, tow = np.array(self.week[:n], dtype=np.int64), np.array(self.tow[:n])

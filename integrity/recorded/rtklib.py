@@ -52,8 +52,9 @@ PLACES = {
 QUALITY = (("Q", 0.0, 10.0), ("ns", 0.0, 1000.0))
 RATIO_AT, SPEED_AT = 9, 10
 RATIO, SPEEDS = ("ratio", 0.0, 1e9), tuple((f"velocity {axis}", -1e3, 1e3) for axis in "123")
-# Of a solution from its base, and between most epochs; what is farther is of another form
-FARTHEST_M, FARTHEST_STEP_M = 1e6, 1e4
+# Of a solution from its base, and of most epochs; what is farther or faster is of another form
+FARTHEST_M, FASTEST_MPS = 1e6, 400.0
+FEWEST_DECIMALS = 5  # of degrees, 1 m; RTKLIB writes nine, and four of metres
 REFERENCE_COLUMNS = {
     "GPS TOW (s)": (0.0, 604_800.0), "ECEF X (m)": (-1e8, 1e8), "ECEF Y (m)": (-1e8, 1e8), "ECEF Z (m)": (-1e8, 1e8),
 }  # fmt: skip
@@ -96,12 +97,14 @@ class ReferenceTrack:
 
 @dataclass
 class _Head:
-    """What the comments of a solution say: form of positions, scale of times, position of the base ECEF (3,) [m]."""
+    """What the comments of a solution say: form of positions, scale of times, position of the base ECEF (3,) [m]; and
+    the largest number of decimals of its first two coordinates."""
 
     form: str = DEG
     scale: str = "GPST"
     base_m: Array | None = None
     named: bool = field(default=False, repr=False)
+    decimals: int = 0
 
     def take(self, comment: str) -> None:
         """Read a comment line."""
@@ -111,10 +114,15 @@ class _Head:
         elif not self.named and text.startswith("obs start"):
             self.scale = next((scale for scale in SCALES if re.search(rf"\b{scale}\b", text)), self.scale)
         elif text.startswith(SCALES):
-            self.scale, self.named = text.split()[0].strip(","), True
             names = text.lower()
             forms = {"latitude(d'": DMS, "x-ecef": XYZ, "e-baseline": ENU}
-            self.form = next((form for name, form in forms.items() if name in names), DEG)
+            found = text.split()[0].strip(","), next((form for name, form in forms.items() if name in names), DEG)
+            if self.named and found != (self.scale, self.form):
+                raise InputError(
+                    f"all heads of a solution must be alike, got {self.scale}, {self.form}, then {', '.join(found)}: "
+                    "split the file there, or set out-solformat and out-timesys of RTKLIB alike"
+                )
+            (self.scale, self.form), self.named = found, True
 
 
 def read_rtk_solution(path: str | Path) -> RtkSolution:
@@ -135,6 +143,7 @@ def read_rtk_solution(path: str | Path) -> RtkSolution:
             values = [_cell(rest, i, *column) for i, column in enumerate((*places, *QUALITY))]
         except ValueError as error:
             raise ValueError(f"{error}; read as {head.form} by the head (out-solformat)") from None
+        head.decimals = max(head.decimals, *(len(word.partition(".")[2]) for word in rest[:2]))
         more = rest[len(places) :]
         if len(more) <= RATIO_AT:
             least = len(words) - len(more) + RATIO_AT
@@ -151,7 +160,7 @@ def read_rtk_solution(path: str | Path) -> RtkSolution:
     if head.scale != "GPST":
         utc = time - JST_AHEAD_S * (head.scale == "JST")
         time = utc + leap_seconds(utc)
-    place = _ecef(rows[:, 1:4], head, path)
+    place = _ecef(rows[:, 1:4], time, head, path)
     velocity = None if np.isnan(rows[:, 7:]).any() else rows[:, 7:]
     if velocity is not None and head.form == XYZ:
         latitude, longitude, _ = geodetic_from_ecef(place[0])
@@ -212,8 +221,8 @@ def _plain(values: list[float], form: str) -> list[float]:
     return [*angles, values[6]]
 
 
-def _ecef(place: Array, head: _Head, path: str | Path) -> Array:
-    """Positions (T, 3) ECEF [m] of coordinates in the form of the head, tested against the position of the base."""
+def _ecef(place: Array, time_s: Array, head: _Head, path: str | Path) -> Array:
+    """Positions (T, 3) ECEF [m] of coordinates in the form of the head, tested for what that form cannot be."""
     if head.form == ENU:
         if head.base_m is None:
             raise InputError(
@@ -226,14 +235,17 @@ def _ecef(place: Array, head: _Head, path: str | Path) -> Array:
         found = place
     else:
         found = ecef_from_geodetic(np.radians(place[:, 0]), np.radians(place[:, 1]), place[:, 2])
-    pace = np.median(np.linalg.norm(np.diff(found, axis=0), axis=1)) if len(found) > 1 else 0.0
+    pace = np.median(np.linalg.norm(np.diff(found, axis=0), axis=1) / np.diff(time_s)) if len(found) > 1 else 0.0
+    coarse = head.form == DEG and head.decimals < FEWEST_DECIMALS
     away = 0.0 if head.base_m is None else float(np.linalg.norm(np.median(found, axis=0) - head.base_m))
     length = float(np.linalg.norm(np.median(found, axis=0)))
-    if away > FARTHEST_M or pace > FARTHEST_STEP_M or not 6.0e6 < length < 7.0e6:
+    apart = f", {away / 1000.0:.0f} km from ref pos" if away else ""
+    if away > FARTHEST_M or pace > FASTEST_MPS or coarse or not 6.0e6 < length < 7.0e6:
         raise InputError(
-            f"{path} must hold positions as {head.form}, as its head says, the first is "
-            f"{', '.join(f'{v:g}' for v in place[0])} and {away / 1000.0:.0f} km from ref pos: are these baselines "
-            "(e/n/u)? Set out-solformat of RTKLIB to llh or xyz, and keep the head (out-outhead)"
+            f"{path} must hold positions as {head.form}, {'as its head says' if head.named else 'without a head'}, the "
+            f"first is {', '.join(f'{v:g}' for v in place[0])} with {head.decimals} decimals, most move at "
+            f"{pace:.0f} m/s{apart}: are these baselines (e/n/u)? Set "
+            "out-solformat of RTKLIB to llh or xyz, and keep the head (out-outhead)"
         )
     return np.asarray(found)
 

@@ -2,8 +2,8 @@
 
 A row whose time is not later than all before it is left out and counted. Where a tenth of the rows would be, the file
 is refused, because it is not sorted or one wrong time is far ahead; so is one whose clock was set back by more than a
-second, unless the rows repeat times that are there (files that were joined). A gap is an interval that is longer than
-the usual one by 0.2 s and, of slow series, by up to 1 s.
+second, unless the rows repeat times that are there (files that were joined). A gap, or a jump of the clock, is an
+interval that is longer than the usual one by more than half of it, but at least 0.15 s and at most 1 s.
 """
 
 from __future__ import annotations
@@ -25,18 +25,20 @@ Bools = NDArray[np.bool_]
 MOST_BACK = 0.1  # share of rows that go back beyond which a file is refused
 FEWEST_ANGLES, LOW_DEG = 20, 2.0  # elevations whose size shows a unit
 SET_BACK_S, LEAST_ROWS = 1.0, 3
-SHORTEST_GAP_S, LONGEST_USUAL_S, USUAL_INTERVALS = 0.2, 1.0, 4.0  # beyond the usual interval
+SHORTEST_GAP_S, LONGEST_USUAL_S, USUAL_SHARE = 0.15, 1.0, 0.5  # beyond the usual interval
+MUCH_MISSING = 0.1  # share of rows; clocks of logs jitter by some percent
 
 
 @dataclass(frozen=True)
 class Timing:
-    """What the times of a series show: number of rows, rows left out because their time is not later, and the start
-    and end of each gap (G, 2) [s]."""
+    """What the times of a series show: number of rows, rows left out because their time is not later, the start and
+    end of each gap (G, 2) [s], and the share of rows that are missing in shorter holes."""
 
     name: str = ""
     rows: int = 0
     left_out: int = 0
     gaps_s: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    missing: float = 0.0
 
     @property
     def note(self) -> str:
@@ -44,7 +46,8 @@ class Timing:
         late = f"{self.left_out} of {self.rows} rows left out that are not later than one before" * bool(self.left_out)
         count, longest = len(self.gaps_s), np.diff(self.gaps_s, axis=1).max(initial=0.0)
         gaps = f"{count} gap{'s' * (count > 1)}, the longest of {longest:.2f} s" * bool(count)
-        return "; ".join(text for text in (late, gaps) if text)
+        holes = f"{100.0 * self.missing:.0f} % of its rows are missing in short holes" * (self.missing > MUCH_MISSING)
+        return "; ".join(text for text in (late, gaps, holes) if text)
 
     def bridged(self, time_s: Array, before_s: float = 0.0, after_s: float = 0.0) -> Bools:
         """Whether times (T,) lie in a gap that is widened by ``before_s`` and ``after_s``."""
@@ -77,16 +80,18 @@ def in_order(name: str | Path, time_s: Array, repeated: bool = False) -> tuple[B
             f"{name} must have times that increase, {back.size} of {time_s.size} rows go back, row {k + 1} by "
             f"{before[k] - time_s[k]:.3f} s: sort the rows by time, or cut the file where its clock was set back"
         )
-    return keep, Timing(str(name), time_s.size, back.size, _gaps(np.unique(time_s[keep]) if repeated else time_s[keep]))
+    return keep, Timing(str(name), time_s.size, back.size, *_gaps(np.unique(time_s[keep])))
 
 
-def _gaps(time_s: Array) -> Array:
-    """Start and end of the intervals (G, 2) that are too long between ascending times (N,)."""
+def _gaps(time_s: Array) -> tuple[Array, float]:
+    """Start and end of the intervals (G, 2) that are too long between ascending times (N,), and the share of times
+    that are missing in the others."""
     step = np.diff(time_s)
     usual = float(np.median(step)) if step.size else 0.0
-    beyond = min(max(USUAL_INTERVALS * usual, SHORTEST_GAP_S), LONGEST_USUAL_S)
-    k = np.flatnonzero(step > usual + beyond)
-    return np.stack([time_s[k], time_s[k + 1]], -1)
+    long = step - usual > min(max(USUAL_SHARE * usual, SHORTEST_GAP_S), LONGEST_USUAL_S)
+    k, rest = np.flatnonzero(long), step[~long]
+    missing = 1.0 - usual * rest.size / float(rest.sum()) if rest.size else 0.0
+    return np.stack([time_s[k], time_s[k + 1]], -1), missing
 
 
 def notes(*series: tuple[str, Stop | None, Timing]) -> dict[str, str]:

@@ -311,10 +311,15 @@ def base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
     Raises
     ------
     InputError
-        There is none, or it is not on Earth.
+        There is none, it is not on Earth, or the antenna is elsewhere on a vehicle.
     """
     place = base.header.antenna_ecef_m if given_ecef_m is None else given_ecef_m
     require_one_site(base, given_ecef_m is not None)
+    if given_ecef_m is None and any(base.header.antenna_delta_body_m):  # on axes that nothing gives
+        raise InputError(
+            "the base must have ANTENNA: DELTA H/E/N, ANTENNA: DELTA X/Y/Z of its header is that of a vehicle: give "
+            "--base-position (base_ecef_m)"
+        )
     if place is None:
         raise InputError(
             "the position of the base must be known, its header has no APPROX POSITION XYZ: pass it with "

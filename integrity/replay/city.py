@@ -43,6 +43,7 @@ from lanebound.integrity.positioning.danish import DanishConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
+from lanebound.integrity.replay.code_epochs import recorded_epochs
 from lanebound.integrity.replay.overbound import CodeErrors
 from lanebound.integrity.replay.reckoning import DeadReckonedPath, reckon, turned
 from lanebound.integrity.replay.recording_checks import check_smartloc
@@ -465,18 +466,19 @@ def find_smartloc(folder: Path) -> tuple[Path, Path | None] | None:
 
 
 def read_city(folder: Path) -> SmartLoc:
-    """Read the smartLoc drive of a folder with its truth, against which wheels and gyro are checked.
+    """Read the smartLoc drive of a folder with its truth, against which wheels, gyro and times of codes are checked.
 
     Raises
     ------
     InputError
-        The folder does not contain both files, or a sensor contradicts the truth.
+        The folder does not contain both files, a sensor contradicts the truth, or no epoch determines a position.
     """
     found = find_smartloc(folder)
     if found is None or found[1] is None:
         raise InputError(f"{folder} must hold *_Input.txt(.gz) and *_GT.txt of smartLoc: give another folder")
     drive = read_smartloc(*found)
     check_smartloc(drive)
+    recorded_epochs(drive)  # which tests the times of the codes
     return drive
 
 

@@ -7,6 +7,7 @@ minute best. No truth enters the epochs.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -24,6 +25,7 @@ from lanebound.integrity.recorded.smartloc import Odometry, SmartLoc
 from lanebound.integrity.replay.differences import Arc, arc_of, troposphere_m
 from lanebound.integrity.replay.reckoning import reckon
 from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.replay.sensor_checks import require_same_times
 from lanebound.integrity.replay.signal_choice import Choice
 from lanebound.integrity.replay.window import LocalFrame
 from lanebound.integrity.sky.broadcast import Ephemerides
@@ -52,6 +54,7 @@ NEAR_M = 30.0  # of a receiver from its codes; further is doubtful: codes with m
 WRONG_M = 100.0  # what codes cannot be wrong by
 MISFIT_M = 100.0  # deviation of codes that no position explains; 1 s of time is up to 800 m
 GLONASS_AHEAD_S = 10_800.0  # of UTC
+CLOCK_S = 8.0  # up to which the error of a clock is found
 SAMPLES = 40  # epochs of which positions are computed
 FEWEST = 6  # satellites
 LOWEST_RAD = np.deg2rad(10.0)
@@ -145,23 +148,36 @@ def require_gps_time(
         return own
     found = "give no position" if own.misfit_m is None else f"deviate by {own.misfit_m:,.0f} m from any position"
     leap_s = float(leap_seconds(np.array(observations.week[0] * WEEK_S + observations.tow_s[0])))
-    for scale, behind_s in (
-        ("BDT without its label; write BDT into columns 49 to 51 of TIME OF FIRST OBS", BDT_BEHIND_GPS_S),
-        ("UTC; convert the file to GPS time", leap_s),
-        ("GLONASS time; convert the file to GPS time", leap_s - GLONASS_AHEAD_S),
-        ("GPS time with the label BDT; correct TIME OF FIRST OBS", -BDT_BEHIND_GPS_S),
-        ("GPS time with leap seconds added twice; convert the file to GPS time", -leap_s),
-    ):
+
+    def misfit_m(behind_s: float) -> float:
         tow_s = observations.tow_s + behind_s
         over = np.floor_divide(tow_s, WEEK_S)
         moved = replace(observations, week=observations.week + over.astype(np.int64), tow_s=tow_s - WEEK_S * over)
         misfit = CodePlaces(moved, codes, choice, table, ionosphere).misfit_m
-        if misfit is not None and misfit <= MISFIT_M:
+        return math.inf if misfit is None else misfit
+
+    scales = {
+        BDT_BEHIND_GPS_S: "in BDT without its label; write BDT into columns 49 to 51 of TIME OF FIRST OBS",
+        leap_s: "in UTC; convert the file to GPS time",
+        leap_s - GLONASS_AHEAD_S: "in GLONASS time; convert the file to GPS time",
+        -BDT_BEHIND_GPS_S: "in GPS time with the label BDT; correct TIME OF FIRST OBS",
+        -leap_s: "in GPS time with leap seconds added twice; convert the file to GPS time",
+    }
+    other = "of a clock that is off; correct the times"
+    for behind_s in (*scales, _clock_error_s(misfit_m)):
+        misfit = misfit_m(behind_s)
+        if misfit <= MISFIT_M:
             raise InputError(
-                f"times of the {name} must be GPS time, its codes {found}, and "
-                f"deviate by {misfit:.0f} m with times {behind_s:+g} s later: they are probably {scale}"
+                f"times of the {name} must be GPS time, its codes {found}, and deviate by {misfit:.0f} m with times "
+                f"{behind_s:+.6g} s later: they are probably {scales.get(behind_s, other)}"
             )
     return own
+
+
+def _clock_error_s(misfit_m: Callable[[float], float]) -> float:
+    """By how much times are too early, to 0.1 s, where the deviation of codes is in proportion to it; 0 elsewhere."""
+    before, after = misfit_m(-CLOCK_S), misfit_m(CLOCK_S)
+    return round(CLOCK_S * (before - after) / (before + after), 1) if before + after < math.inf else 0.0
 
 
 def _least_squares(
@@ -210,7 +226,7 @@ def recorded_epochs(drive: SmartLoc, cn0_min_dbhz: float = LEAST_DBHZ) -> Tracke
     Raises
     ------
     InputError
-        No epoch determines a position.
+        No epoch determines a position, or positions are those of other times of the truth.
     """
     r = drive.ranges
     time, epoch = np.unique(r.time_s, return_inverse=True)
@@ -235,7 +251,11 @@ def recorded_epochs(drive: SmartLoc, cn0_min_dbhz: float = LEAST_DBHZ) -> Tracke
         elevation_rad=table(r.elevation_rad), drive=np.zeros(time.size, np.int64),
     )  # fmt: skip
     epochs = _settled(plain, place, range_m, frame)
-    step, sigma = reckoned_steps(drive.odometry, time, solve_codes(epochs).x_m[:, :2])
+    fixes = solve_codes(epochs).x_m
+    if drive.truth is not None:
+        there = frame.local(drive.truth.position_ecef_m)[:, :2]  # heights from codes are off by the delays in the air
+        require_same_times("pseudorange3", time, fixes[:, :2], drive.truth.time_s, there)
+    step, sigma = reckoned_steps(drive.odometry, time, fixes[:, :2])
     truth, known = np.zeros((time.size, 3)), np.zeros(time.size, bool)
     if drive.truth is not None:
         ecef, known = drive.truth.at(time)

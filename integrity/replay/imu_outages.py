@@ -43,9 +43,11 @@ from lanebound.integrity.replay.sensor_checks import (
     SPEED,
     YAW_RATE,
     Agreement,
+    Quantity,
     correlation,
     require_agreement,
     require_lag,
+    require_throughout,
 )
 
 __all__ = [
@@ -101,7 +103,7 @@ class ImuOutageConfig(Config):
 class InertialMotion:
     """Epochs (T,): time from the start [s], reference position (T, 2) E, N [m], track [rad] and speed [m/s]; forward
     specific force [m/s^2], pitch by the gyro [rad], yaw rate, positive to the right [rad/s]; whether the solution is
-    usable; ``first`` is the epoch after the calibration; ``bridged`` are the epochs at a gap of the log."""
+    usable; ``first`` is the epoch after the calibration; ``bridged`` are the epochs at a gap of log or solution."""
 
     time_s: Array
     position_m: Array
@@ -128,6 +130,7 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         raise InputError(
             "the solution must have velocities in all rows, has none in some: set out-outvel of RTKLIB to on"
         )
+    _require_signals(log)
     level, roll, pitch = levelled(log, config.rest_s)
     rates = _rates(log, config)
     start, end = max(log.gps_time_s[0], track.gps_time_s[0]), min(log.gps_time_s[-1], track.gps_time_s[-1])
@@ -138,9 +141,15 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
             f"log and solution must share {config.settle_s + config.longest_s + 2 * margin:g} s, share "
             f"{max(end - start, 0.0):.1f} s: are they of one drive, and both in GPS time?"
         )
-    place, speed, heading, known = _reference(track, at)
-    bridged = log.timing.bridged(at, LAG_S + 1.0 / config.rate_hz, LAG_S + 1.0 / config.rate_hz)
+    place, speed, heading, known, near = _reference(track, at)
+    in_gap = log.timing.bridged(at, LAG_S + 1.0 / config.rate_hz, LAG_S + 1.0 / config.rate_hz)
+    bridged = in_gap | ~near
     first = _calibrated_from(speed, known & ~bridged, config)
+    if in_gap[:first].any():
+        raise InputError(
+            f"the log must be without gaps until its calibration ends, {at[first] - at[0]:.1f} s after the start, has "
+            f"{log.timing.note}: lower calibration_s, or cut the log after the gap"
+        )
     part = np.flatnonzero(known[:first] & ~bridged[:first] & (speed[:first] > MOVING_MPS))
     seconds = part.size / config.rate_hz
     turning, ahead = np.gradient(heading, at), np.gradient(speed, at)
@@ -176,6 +185,14 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     )
     pushes = require_agreement(ACCELERATION, "g", "the log", ahead[part], forward[part], seconds)
     climbs = _slopes_agree(track, at, speed, [pitched, *mirrored], part, config)
+    driven = np.flatnonzero(known & ~bridged & (speed > MOVING_MPS))
+
+    def throughout(quantity: Quantity, unit: str, true: Array, value: Array) -> None:
+        since_s = at[driven] - log.gps_time_s[0]
+        require_throughout(quantity, unit, "the log", since_s, true[driven], lambda by: sensed(value, by)[driven], lag)
+
+    throughout(YAW_RATE, "deg/s", turning, rates[:, 2])
+    throughout(ACCELERATION, "g", ahead, level.force_mps2[:, :2] @ [c, s])
     motion = InertialMotion(at - at[0], place, heading, speed, forward, pitched, yaw - bias, known, first, bridged)
     agreements = {"yaw rate": turns, "forward acceleration": pushes, "pitch rate": climbs}
     return motion, {
@@ -183,6 +200,17 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         "coherence": coherence, "lag_s": lag, "yaw_bias_degps": math.degrees(bias), "from_s": float(at[first] - at[0]),
         "agreement": {name: found.figures() for name, found in agreements.items()},
     }  # fmt: skip
+
+
+def _require_signals(log: ImuLog) -> None:
+    """Refuse a column of one value, in which levelling would mix parts of other axes."""
+    for sensor, values in (("force", log.force_mps2), ("rate", log.rate_radps)):
+        for axis, column in zip("xyz", values.T, strict=True):
+            if np.ptp(column) == 0.0:
+                raise InputError(
+                    f"{sensor} {axis} of the log must change, all {column.size} rows have one value: the axis has no "
+                    "signal; correct the columns"
+                )
 
 
 def _rates(log: ImuLog, config: ImuOutageConfig) -> Array:
@@ -227,8 +255,9 @@ def _mirrored_text(sensor: str, given: float, better: float) -> str:
     )
 
 
-def _reference(track: RtkSolution, at: Array) -> tuple[Array, Array, Array, Bools]:
-    """Position (T, 2), speed, track and whether they are usable (T,), at times; the track holds while at rest."""
+def _reference(track: RtkSolution, at: Array) -> tuple[Array, Array, Array, Bools, Bools]:
+    """Position (T, 2), speed, track, whether they are usable and whether they are in no gap (T,), at times; the track
+    holds while at rest."""
     latitude, longitude, _ = geodetic_from_ecef(track.position_ecef_m[0])
     enu = (track.position_ecef_m - track.position_ecef_m[0]) @ ecef_from_enu_matrix(latitude, longitude)
     place = np.stack([np.interp(at, track.gps_time_s, enu[:, k]) for k in range(2)], -1)
@@ -242,7 +271,7 @@ def _reference(track: RtkSolution, at: Array) -> tuple[Array, Array, Array, Bool
     usable = (track.quality >= 1) & (track.quality <= WORST_QUALITY) & ~_old(track, enu)
     behind = np.clip(np.searchsorted(track.gps_time_s, at, side="right") - 1, 0, track.gps_time_s.size - 2)
     near = track.gps_time_s[behind + 1] - track.gps_time_s[behind] <= LONGEST_GAP_S
-    return place, speed, heading, near & usable[behind] & usable[behind + 1]
+    return place, speed, heading, usable[behind] & usable[behind + 1], np.asarray(near)
 
 
 def _old(track: RtkSolution, enu: Array) -> Bools:

@@ -23,6 +23,8 @@ from lanebound.integrity.replay.sensor_checks import (
     likely_unit,
     require_agreement,
     require_lag,
+    require_same_times,
+    require_throughout,
 )
 
 __all__ = ["check_comma", "check_smartloc"]
@@ -30,6 +32,7 @@ __all__ = ["check_comma", "check_smartloc"]
 Array = NDArray[np.float64]
 
 EVERY_S, MEAN_S = 0.1, 0.4  # epochs, and the time over which a motion is taken
+NEAR_S = LAG_S + MEAN_S  # of a gap, which a value there can touch
 MOVING_MPS = 2.0
 AWAY_M = 100.0  # of a receiver's positions from the reference, median
 ALIKE = 0.8  # mean cosine of courses that are the same
@@ -61,12 +64,21 @@ class _Reference:
         self, quantity: Quantity, unit: str, where: str, reference: Array, time_s: Array, value: Array,
         keep: NDArray[np.bool_],
     ) -> Agreement:  # fmt: skip
-        """Agreement of a sensor's series with values (T,) of the reference at the epochs to keep, after its lag."""
+        """Agreement of a sensor's series with values (T,) of the reference at the epochs to keep, after its lag; it
+        must hold throughout."""
         at = self.time_s[keep]
         inside = at[(at > time_s[0] + LAG_S) & (at < time_s[-1] - LAG_S)]
+        if at.size and not inside.size:
+            raise InputError(
+                f"times of {where} must be those of the reference, {at[0]:.1f} to {at[-1]:.1f} s, got "
+                f"{time_s[0]:.1f} to {time_s[-1]:.1f} s: are they of one clock, and in s?"
+            )
         wanted = reference[np.isin(self.time_s, inside)]
-        lag, sensed = require_lag(where, wanted, _means(time_s, value, inside), quantity)
-        return replace(require_agreement(quantity, unit, where, wanted, sensed, inside.size * EVERY_S), lag_s=lag)
+        means = _means(time_s, value, inside)
+        lag, sensed = require_lag(where, wanted, means, quantity)
+        found = require_agreement(quantity, unit, where, wanted, sensed, inside.size * EVERY_S)
+        require_throughout(quantity, unit, where, inside - self.time_s[:1], wanted, means, lag)
+        return replace(found, lag_s=lag)
 
 
 def _means(time_s: Array, value: Array, at_s: Array) -> Callable[[float], Array]:
@@ -94,7 +106,7 @@ def check_comma(segment: Comma) -> dict[str, Agreement]:
     axes = ecef_from_enu_matrix(latitude, longitude)
     place, reported = ((r.position_ecef_m - r.position_ecef_m[0]) @ axes)[:, :2], (r.velocity_ecef_mps @ axes)[:, :2]
     motion = _Reference(r.time_s, place)
-    clear = ~segment.bridged(motion.time_s, LAG_S + MEAN_S, LAG_S + MEAN_S)
+    clear = ~segment.bridged(motion.time_s, NEAR_S, NEAR_S)
     if clear.sum() * EVERY_S < 1.0:
         return {}
     velocity = np.stack([_means(r.time_s, column, motion.time_s)(0.0) for column in reported.T], -1)
@@ -106,15 +118,17 @@ def check_comma(segment: Comma) -> dict[str, Agreement]:
     }  # fmt: skip
     for name, values in (("CAN/speed", segment.speed), ("CAN/wheel_speed", segment.wheel_speed)):
         for k, column in enumerate(np.atleast_2d(values.value.T)):
-            found[f"{name} {k}"] = motion.follow(SPEED, "m/s", name, motion.speed_mps, values.time_s, column, clear)
+            there = clear & ~values.timing.bridged(motion.time_s, NEAR_S, NEAR_S)
+            found[f"{name} {k}"] = motion.follow(SPEED, "m/s", name, motion.speed_mps, values.time_s, column, there)
     gyro, force = segment.rotation_rate, segment.acceleration
     turning, driven = motion.rate(motion.course_rad), clear & motion.moving
     found["yaw rate"] = motion.follow(YAW_RATE, "rad/s", "IMU/gyro", turning, gyro.time_s, gyro.value[:, 2], driven)
     _require_gravity(force.value)
     ahead = motion.rate(motion.speed_mps)
     found["forward acceleration"] = motion.follow(
-        ACCELERATION, "m/s^2", "IMU/accelerometer", ahead, force.time_s, force.value[:, 0], driven
-    )
+        ACCELERATION, "m/s^2", "IMU/accelerometer", ahead, force.time_s, force.value[:, 0],
+        driven & ~force.timing.bridged(motion.time_s, NEAR_S, NEAR_S),
+    )  # fmt: skip
     if segment.fixes is not None:
         found["receiver speed"] = _check_fixes(segment, motion, place, axes, float(height))
     return found
@@ -157,11 +171,15 @@ def _check_fixes(segment: Comma, motion: _Reference, place: Array, axes: Array, 
     time = f.time_s[inside]
     true = np.stack([np.interp(time, r.time_s, column) for column in place.T], -1)
 
+    def local(latitude: Array, longitude: Array) -> Array:
+        ecef = ecef_from_geodetic(latitude, longitude, np.full(f.time_s.size, height))
+        return np.asarray(((ecef - r.position_ecef_m[0]) @ axes)[:, :2])
+
     def away(latitude: Array, longitude: Array) -> float:
-        ecef = ecef_from_geodetic(latitude[inside], longitude[inside], np.full(time.size, height))
-        return float(np.median(np.linalg.norm(((ecef - r.position_ecef_m[0]) @ axes)[:, :2] - true, axis=-1)))
+        return float(np.median(np.linalg.norm(local(latitude, longitude)[inside] - true, axis=-1)))
 
     lat, lon = np.radians(f.latitude_deg), np.radians(f.longitude_deg)
+    require_same_times("GNSS/live_gnss_ublox", f.time_s, local(lat, lon), r.time_s, place)
     off = away(lat, lon)
     if off > AWAY_M:
         forms = {"in radians": (f.latitude_deg, f.longitude_deg), "exchanged": (lon, lat)}

@@ -3,7 +3,7 @@
 The sensed value is regressed on the reference's, which has errors of its own. They pull the slope towards 0, so that
 the true one lies between the slope and slope / correlation^2 (Frisch 1934, "Statistical confluence analysis"). A slope
 that cannot be near 1 is a unit or a sign; a strong motion that the sensor does not follow is another axis or drive. A
-drive with too little motion proves nothing, which the result says.
+drive with too little motion proves nothing, which the result says. Windows show what only a part of a drive has.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lanebound.integrity.core.errors import InputError
 
 __all__ = [
     "ACCELERATION", "CLEARLY", "LAG_S", "LEAST_CORRELATION", "PITCH_RATE", "SPEED", "YAW_RATE", "Agreement", "Quantity",
-    "correlation", "likely_unit", "require_agreement", "require_lag", "require_same_times",
+    "correlation", "likely_unit", "require_agreement", "require_lag", "require_same_times", "require_throughout",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -29,10 +29,12 @@ SLOPES = 0.75, 1.3  # of a sensor in its unit; wheels and gyros are good to some
 LEAST_CORRELATION = 0.5  # of a sensor that follows a motion
 LASTING_S = 1.0  # errors of a reference last as long
 SURE = 3.0  # deviations
-LEAST_DEAD = 100  # equal values of a sensor without a signal
 LIKE = 0.1  # relative, of the slope of a unit
 LAG_S, LAG_STEP_S, LONGEST_LAG_S = 0.5, 0.01, 20.0
 NEARER = 3.0  # times nearer are positions whose times are right
+WINDOW_S, WINDOW_STEP_S = 8.0, 2.0
+FROZEN = 1e-6  # of a strong motion; beyond rounding, far below the resolution of any sensor
+JUMP_S, LONGEST_JUMP_S = 0.25, 0.7  # of a clock inside a drive; a longer one leaves a gap, or no likeness
 SURE_CORRELATION, CLEARLY = 0.7, 0.2  # of a lag that needs no wider search, and by how much another must be better
 
 
@@ -103,8 +105,7 @@ def require_agreement(
     follows = fit2 >= LEAST_CORRELATION**2
     low, high = max(abs(slope) - SURE * spread, 0.0), (abs(slope) + SURE * spread) / max(fit2, 1e-9)
     wrong = slope < 0.0 or low > SLOPES[1] or high < SLOPES[0]
-    dead = quantity.biased and ss == 0.0 and reference.size >= LEAST_DEAD  # even at rest a gyro has noise
-    if (follows and wrong) or (strong and not follows) or dead:
+    if (follows and wrong) or (strong and not follows):
         raise InputError(
             f"{quantity.name} of {where} must follow the reference, the slope on it is {slope:.3g} and the correlation "
             f"{alike:.2f}: {_likely(quantity, unit, slope, (low, high), follows)}"
@@ -165,8 +166,52 @@ def require_lag(
     return float(lags[best]), sensed(float(lags[best]))
 
 
+def require_throughout(
+    quantity: Quantity, unit: str, where: str, time_s: Array, reference: Array, sensed: Callable[[float], Array],
+    lag_s: float,
+) -> None:  # fmt: skip
+    """Test the windows of a drive: reference (N,) at times (N,) from its start, ``sensed`` and lag of require_lag.
+
+    Raises
+    ------
+    InputError
+        In a window with enough motion a sensor has another sign or unit, one value, or another lag than elsewhere.
+    """
+    offsets = np.arange(-LONGEST_JUMP_S, LONGEST_JUMP_S + 0.01, 0.05)
+    values, usual = np.stack([sensed(lag_s + float(offset)) for offset in offsets]), offsets.size // 2
+    changes = quantity._replace(biased=True, strong=math.inf)  # noise of the reference alone is no contradiction
+    least = 0.75 * WINDOW_S / float(np.median(np.diff(time_s))) if time_s.size > 1 else math.inf
+    for start in np.arange(time_s[0], time_s[-1] - 0.5 * WINDOW_S, WINDOW_STEP_S) if time_s.size else ():
+        k = slice(*np.searchsorted(time_s, [start, start + WINDOW_S]))
+        true, felt = reference[k], values[:, k]
+        if true.size < least:  # mostly in a gap
+            continue
+        there = f"{where} between {start:.0f} and {start + WINDOW_S:.0f} s"
+        spread = float(np.std(true)) / quantity.strong
+        # inertial sensors have noise even on a straight road, which the reference shows by its own
+        if np.ptp(felt[usual]) < FROZEN * quantity.strong and spread > (0.05 if quantity.biased else 0.25):
+            raise InputError(
+                f"{quantity.name} of {there} must change as the reference does, it keeps one value: the sensor was "
+                "frozen or padded; cut the recording there"
+            )
+        if not quantity.biased and float(np.mean(true)) > quantity.strong:
+            require_agreement(quantity, unit, there, true, felt[usual], WINDOW_S)
+        if spread < 0.5:
+            continue
+        require_agreement(changes, unit, there, true, felt[usual], WINDOW_S)
+        if quantity.name == ACCELERATION.name:  # slopes of the road shift it
+            continue
+        off = np.std(felt - true, axis=1)
+        best = int(np.argmin(off))
+        if abs(offsets[best]) >= JUMP_S and off[usual] > NEARER * off[best]:
+            raise InputError(
+                f"clocks of {there} and of the reference must keep their difference, the {quantity.name} comes "
+                f"{offsets[best]:+.2f} s later than in the whole drive: one of them jumped; cut the recording there"
+            )
+
+
 def require_same_times(where: str, time_s: Array, place_m: Array, true_s: Array, true_m: Array) -> None:
-    """Raise InputError where positions (T, 3) are nearer to the reference (N, 3) at times LAG_S or more away."""
+    """Raise InputError where positions (T, d) are nearer to the reference (N, d) at times LAG_S or more away."""
     lags = np.arange(-LONGEST_LAG_S, LONGEST_LAG_S + 0.05, 0.1)
 
     def away_m(lag_s: float) -> float:
@@ -183,7 +228,7 @@ def require_same_times(where: str, time_s: Array, place_m: Array, true_s: Array,
         raise InputError(
             f"times of {where} and of the reference must agree within {LAG_S:g} s, positions are {now:.1f} m apart and "
             f"{found[k]:.1f} m with times {lags[k]:+.1f} s later: is one in UTC and one in GPS time? Correct the times "
-            "of one of them, or the head (out-timesys)"
+            "of one of them, or out-timesys of a solution of RTKLIB"
         )
 
 

@@ -142,6 +142,8 @@ TYPES = rinex_line("G    4 C1C L1C C2W L2W", "SYS / # / OBS TYPES")
     (rinex_line("G    1 C1C L1C C2W L2W", "COMMENT"),), (rinex_line("", "APPROX POSITION XYZ"),),
     (rinex_line(" -3817680.9841  3562840.0688  3650158.4543", "APPROX POSITION XYZ"),),
     (rinex_line("        0.0000        0.0000        0.0000", "ANTENNA: DELTA H/E/N"),),
+    (rinex_line("        0.0000        0.0000        0.0000", "ANTENNA: DELTA X/Y/Z"),),
+    (rinex_line("G    1", "SYS / SCALE FACTOR"),), (rinex_line("G    1  2 C1C L1C", "SYS / SCALE FACTOR"),),
 ])  # fmt: skip
 def test_an_event_that_repeats_the_header_changes_nothing(tmp_path: Path, event: tuple[str, ...]) -> None:
     plain = read_observations(written(tmp_path, RINEX + AFTER))
@@ -165,6 +167,8 @@ def test_an_event_that_changes_the_columns_is_refused(tmp_path: Path, event: str
 @pytest.mark.parametrize(("flag", "event", "what"), [
     (3, rinex_line(" -3817680.9841  3562840.0688  3650161.4003", "APPROX POSITION XYZ"), "POSITION XYZ is 2.946 m"),
     (4, rinex_line("        1.5000        0.0000        0.0000", "ANTENNA: DELTA H/E/N"), "DELTA H/E/N is 1.500 m"),
+    (4, rinex_line("        0.0000        2.0000        0.0000", "ANTENNA: DELTA X/Y/Z"), "DELTA X/Y/Z is 2.000 m"),
+    (3, rinex_line("OTHER", "MARKER NAME"), "a new site is occupied, OTHER"),
     (2, "", "the antenna starts to move"),
 ])  # fmt: skip
 def test_a_move_of_the_antenna_is_told_with_its_line_and_refused_of_a_base(
@@ -180,11 +184,51 @@ def test_a_move_of_the_antenna_is_told_with_its_line_and_refused_of_a_base(
     with pytest.raises(InputError, match=f"the base must stand at one place, line {line} .*{what}"):
         base_antenna(found, None)
     given = np.array([-3817680.9841, 3562840.0688, 3650158.4543])
-    if flag == 3:  # only an approximate position
+    if "APPROX" in event:  # it need not be that of the antenna
         np.testing.assert_array_equal(base_antenna(found, given), given)
     else:
         with pytest.raises(InputError, match=r"cut the file there$"):
             base_antenna(found, given)
+
+
+def test_a_site_before_the_first_epoch_is_that_of_the_file(tmp_path: Path) -> None:
+    rows = RINEX[len(rinex_header()) :]
+    site = (rinex_line(" -3817680.9841  3562840.0688  3650168.4543", "APPROX POSITION XYZ"),
+            rinex_line("        1.5000        0.0000        0.0000", "ANTENNA: DELTA H/E/N"))  # fmt: skip
+    found = read_observations(written(tmp_path, rinex_header() + rinex_epoch(0.0, *site, flag=4) + rows))
+    assert found.header.position_ecef_m == (-3817680.9841, 3562840.0688, 3650168.4543)
+    assert found.header.antenna_delta_enu_m == (0.0, 0.0, 1.5)
+    assert found.note == ""
+
+
+def test_an_antenna_on_the_axes_of_a_vehicle_is_none_of_a_base(tmp_path: Path) -> None:
+    end = rinex_line("", "END OF HEADER")
+    body = rinex_line("        1.5000        0.0000        0.0000", "ANTENNA: DELTA X/Y/Z")
+    found = read_observations(written(tmp_path, RINEX.replace(end, body + end)))
+    with pytest.raises(InputError, match="the base must have ANTENNA: DELTA H/E/N"):
+        base_antenna(found, None)
+    given = np.array([-3817680.9841, 3562840.0688, 3650158.4543])
+    np.testing.assert_array_equal(base_antenna(found, given), given)
+
+
+def test_a_position_that_is_partly_blank_is_missing_and_a_blank_offset_is_0(tmp_path: Path) -> None:
+    end = rinex_line("", "END OF HEADER")
+    more = rinex_line(" -3817680.9841", "APPROX POSITION XYZ") + rinex_line("        0.1000", "ANTENNA: DELTA H/E/N")
+    header = read_observations(written(tmp_path, RINEX.replace(end, more + end))).header
+    assert (header.position_ecef_m, header.antenna_delta_enu_m) == (None, (0.0, 0.0, 0.1))
+
+
+def test_a_file_of_beidou_alone_without_a_time_system_is_in_its_time(tmp_path: Path) -> None:
+    labels = {"SYS / # / OBS TYPES": "C    2 C2I L2I", "TIME OF FIRST OBS": "  2024     6    24     8    20    0.0"}
+    found = read_observations(written(tmp_path, rinex_header(**labels) + rinex_epoch(0.0, rinex_satellite("C05", 2e7))))
+    assert found.header.time_system == "BDT"
+
+
+def test_epochs_in_reverse_are_refused(tmp_path: Path) -> None:
+    epochs = [rinex_epoch(float(t), rinex_satellite("G05", 2e7, 1e8)) for t in range(30, 10, -1)]
+    with pytest.raises(InputError, match="must have epochs whose times increase, 19 of 22 go back: sort them by time"):
+        read_observations(written(tmp_path, "".join([RINEX, *epochs])))
+    assert read_observations(written(tmp_path, "".join([RINEX, *epochs[::-1], *epochs[::-1]]))).left_out == 20
 
 
 def test_a_joined_file_of_another_site_is_told(tmp_path: Path) -> None:
@@ -251,7 +295,7 @@ def test_damage_is_named(tmp_path: Path, old: str, new: str, message: str) -> No
 
 
 def test_rows_of_systems_without_codes_are_counted(tmp_path: Path) -> None:
-    more = rinex_epoch(5.0, rinex_satellite("G05", 2e7), rinex_satellite("S27", 3.8e7), rinex_satellite("R01", 2e7))
+    more = rinex_epoch(2.0, rinex_satellite("G05", 2e7), rinex_satellite("S27", 3.8e7), rinex_satellite("R01", 2e7))
     found = read_observations(written(tmp_path, RINEX + more))
     assert found.rows["G"].satellite.tolist() == [5, 7, 5, 5]
     assert found.undeclared == {"S": 1, "R": 1}
@@ -288,6 +332,11 @@ def test_epochs_that_are_not_later_are_left_out_and_counted(tmp_path: Path) -> N
     assert found.rows["G"].satellite.tolist() == [5, 7, 5, 5]
     assert found.left_out == 2
     assert found.note.startswith("2 epochs left out")
+
+
+def test_gaps_are_told(tmp_path: Path) -> None:
+    epochs = [rinex_epoch(t, rinex_satellite("G05", 2e7, 1e8)) for t in (2.0, 12.0, 13.0)]
+    assert read_observations(written(tmp_path, "".join([RINEX, *epochs]))).note == "1 gap, the longest of 10.00 s"
 
 
 def test_joined_files_and_padded_lines(tmp_path: Path) -> None:

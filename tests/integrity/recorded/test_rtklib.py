@@ -130,6 +130,28 @@ def test_forms_that_the_head_does_not_say_are_refused_with_the_option(tmp_path: 
         read_rtk_solution(written(tmp_path, text))
 
 
+@pytest.mark.parametrize("head", ["", "%  GPST latitude(deg) longitude(deg) height(m) Q ns\n"])
+@pytest.mark.parametrize("baseline", ["0.0010 0.0020 0.5000", "12.3450 -45.6780 1.2000"])
+def test_baselines_without_ref_pos_are_no_degrees(tmp_path: Path, head: str, baseline: str) -> None:
+    rows = "".join(f"2270 {k}.000 {baseline} 1 16 0.01 0.01 0.01 0 0 0 0.0 6.4\n" for k in range(30))
+    with pytest.raises(InputError, match=r"with 4 decimals, .*are these baselines \(e/n/u\)\? Set out-solformat"):
+        read_rtk_solution(written(tmp_path, head + rows))
+    moving = "".join(
+        f"2270 {k}.000 {0.01 * k:.9f} 20.000000000 1.2 1 16 0.01 0.01 0.01 0 0 0 0.0 6.4\n" for k in range(30)
+    )
+    with pytest.raises(InputError, match="most move at 1106 m/s"):
+        read_rtk_solution(written(tmp_path, head + moving))
+
+
+def test_heads_inside_a_file_must_be_alike(tmp_path: Path) -> None:
+    whole = solution("llh")
+    heads = "".join(line for line in whole.splitlines(keepends=True) if line.startswith("%"))
+    assert read_rtk_solution(written(tmp_path, whole + heads)).timing.note == ""
+    for form, scale in (("enu", "GPST"), ("llh", "UTC")):
+        with pytest.raises(InputError, match=r"all heads of a solution must be alike, got GPST, .* split the file"):
+            read_rtk_solution(written(tmp_path, whole + solution(form, scale)))
+
+
 def test_constant_baselines_under_a_head_of_degrees_are_far_from_the_base(tmp_path: Path) -> None:
     text = solution().splitlines()
     rows = [f"2270 {194670 + k}.000 12.345 -45.678 1.2 {TAIL}" for k in range(5)]

@@ -55,7 +55,8 @@ def test_disorder_and_a_clock_that_is_set_back_are_refused(times: np.ndarray, me
 
 
 @pytest.mark.parametrize(("rate_hz", "step_s", "gaps"), [
-    (100.0, 0.5, 1), (100.0, 0.15, 0), (5.0, 0.6, 0), (5.0, 2.0, 1), (1.0, 2.0, 0), (1.0, 2.5, 1),
+    (100.0, 0.5, 1), (100.0, 0.15, 0), (5.0, 0.3, 0), (5.0, 0.7, 1), (4.0, 0.75, 1), (1.0, 1.4, 0), (1.0, 2.0, 1),
+    (0.1, 10.9, 0), (0.1, 20.0, 1),
 ])  # fmt: skip
 def test_gaps_are_counted_by_the_rate_of_the_series(rate_hz: float, step_s: float, gaps: int) -> None:
     time = np.arange(100) / rate_hz
@@ -66,6 +67,11 @@ def test_gaps_are_counted_by_the_rate_of_the_series(rate_hz: float, step_s: floa
     assert timing.bridged(time).sum() == 0  # the rows beside a gap are recorded
     assert timing.bridged(time, 0.01 + 1.0 / rate_hz, 0.01 + 1.0 / rate_hz).sum() == 4 * gaps
     assert ("1 gap, the longest of" in timing.note) == bool(gaps)
+
+
+def test_rows_that_are_missing_in_short_holes_are_told_with_their_share() -> None:
+    assert in_order("log", TIME[np.arange(1000) % 20 > 8])[1].note == "45 % of its rows are missing in short holes"
+    assert in_order("log", TIME[np.arange(1000) % 20 > 0])[1].note == ""
 
 
 def test_notes_are_of_what_has_any() -> None:

@@ -89,3 +89,11 @@ def test_the_recorded_drive_through_berlin() -> None:
     assert error["ibpl"] <= 1e-3  # the methods without a fault model hold in the city
     assert error["kipl"] <= 1e-3
     assert error["residual"] > 0.01  # the classic one does not: several codes are reflected at once
+
+
+@pytest.mark.parametrize("late_s", [18.0, -14.0])
+def test_codes_whose_times_are_off_are_refused(late_s: float) -> None:
+    drive = simulated(60.0)
+    late = replace(drive, ranges=replace(drive.ranges, time_s=drive.ranges.time_s + late_s))
+    with pytest.raises(InputError, match=rf"times of pseudorange3 .* must agree .* with times \{-late_s:+.1f} s later"):
+        recorded_epochs(late)

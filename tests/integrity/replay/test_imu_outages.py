@@ -148,7 +148,7 @@ def test_the_command_s_results_and_lines_that_end_in_two_characters(tmp_path: Pa
     with pytest.raises(InputError, match="must move for 900 s of calibration"):
         replay_folder(tmp_path, out, {"calibration_s": 900.0})
     (tmp_path / "second.pos").touch()
-    with pytest.raises(InputError, match=r"must have one \*.pos beside its inertial log, has gnss_1834.pos, second"):
+    with pytest.raises(InputError, match=r"must have one \*.pos next to its inertial log, has gnss_1834.pos, second"):
         replay_folder(tmp_path, out)
 
 
@@ -176,10 +176,24 @@ def test_outages_at_a_gap_are_left_out_and_counted(tmp_path: Path, folder: Path)
     assert [found["all_ages"][axis]["exceeded"] for axis in ("at", "ct")] == [0, 0]
 
 
+def test_a_gap_of_the_solution_counts_and_one_of_the_log_in_the_calibration_is_refused(tmp_path: Path) -> None:
+    config = ImuOutageConfig()
+    log, track = _read(_write(tmp_path))
+    whole = run_inertial_outages(motion_of_log(log, track, config)[0], config)
+    path = tmp_path / "gnss_1834.pos"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:481] + lines[540:]) + "\n")  # 15 s after 120 s
+    holed = run_inertial_outages(motion_of_log(log, read_rtk_solution(path), config)[0], config)
+    assert 28 <= holed.left_out == whole.start_s.size - holed.start_s.size <= 31
+    with pytest.raises(InputError, match=r"without gaps until its calibration ends, .* has 1 gap, the longest of 10\."):
+        replay_folder(_write(tmp_path, gap_s=(40.0, 50.0)), tmp_path / "out")
+
+
 @pytest.mark.parametrize(("change", "message"), [
     (lambda f, w: (f, np.radians(w)), r"yaw rate of the log .* slope on it is 0\.017.* correlation 1.*in rad/s, not"),
     (lambda f, w: (f, w * [1, 1, -1]), r"yaw rate of the log .* slope on it is -\d.*: its sign is reversed"),
     (lambda f, w: (f, w[:, [2, 0, 1]]), "another axis"),
+    (lambda f, w: (f, w * [1, 1, 0]), "rate z of the log must change, all 12000 rows have one value"),
     (lambda f, w: (f, w * [1, -1, 1]), "with one axis of the gyro or the accelerometer mirrored"),
     (lambda f, w: (f * [-1, -1, 1], w), "with one axis of the gyro or the accelerometer mirrored"),
     (lambda f, w: (f * G_MPS2, w), r"mean force of 96.* it is probably in m/s\^2, not in g"),

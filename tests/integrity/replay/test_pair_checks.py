@@ -60,6 +60,7 @@ def command(folder: Path, out: Path, base: np.ndarray, rover: np.ndarray, *more:
 @pytest.mark.parametrize(("behind_s", "scale"), [
     (14.0, "BDT without its label; write BDT into columns 49 to 51"), (18.0, "UTC; convert"),
     (18.0 - 10_800.0, "GLONASS time; convert"), (-14.0, "GPS time with the label BDT"), (-18.0, "seconds added twice"),
+    (1.0, "a clock that is off"), (-3.0, "a clock that is off"),
 ])  # fmt: skip
 @pytest.mark.parametrize("which", ["rover", "base"])
 def test_times_in_another_scale_are_refused_and_the_scale_named(

@@ -105,6 +105,19 @@ def test_fixes_that_contradict_the_reference(column: str, change, message: str) 
         check_comma(changed(sane, "fixes", **{column: change(getattr(sane.fixes, column))}))
 
 
+def test_times_in_ms_of_another_clock_or_scale_are_named(tmp_path: Path) -> None:
+    sane = segment()
+    assert sane.fixes is not None
+    with pytest.raises(InputError, match=r"times of GNSS/live_gnss_ublox .* must agree .* with times -9\.0 s later"):
+        check_comma(changed(sane, "fixes", time_s=sane.fixes.time_s + 9.0))
+    with pytest.raises(InputError, match=r"times of IMU/gyro must be those of the reference, 0\.4 to 59\..* one clock"):
+        check_comma(changed(sane, "rotation_rate", time_s=sane.rotation_rate.time_s + 1e4))
+    for name in ("rotation_rate", "reference"):
+        late = changed(sane, name, time_s=1e3 * getattr(sane, name).time_s)
+        with pytest.raises(InputError, match=r"must be in s, most rows are \d+ s apart: are they in ms\?"):
+            read_comma(_saved(tmp_path / name, late))
+
+
 def test_fixes_in_radians_or_exchanged_are_named() -> None:
     sane = segment()
     f = sane.fixes

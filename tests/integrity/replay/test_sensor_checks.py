@@ -14,6 +14,7 @@ from lanebound.integrity.replay.sensor_checks import (
     require_agreement,
     require_lag,
     require_same_times,
+    require_throughout,
 )
 
 TIME = np.arange(0.0, 60.0, 0.1)
@@ -121,6 +122,29 @@ def test_positions_whose_times_are_off_are_refused_and_those_of_a_car_at_rest_ar
         require_same_times("a", time - late_s, way + noise, time, way)
 
 
-def test_a_sensor_with_the_same_value_throughout_is_dead_even_on_a_straight_drive() -> None:
-    with pytest.raises(InputError, match="a sensor without a signal"):
-        require_agreement(YAW_RATE, "rad/s", "log", 1e-4 * TURNS, 0.0 * TURNS + 0.01, 60.0)
+@pytest.mark.parametrize(("quantity", "truth", "change", "message"), [
+    (YAW_RATE, TURNS, lambda v: -v, "yaw rate of log between 30 and 38 s .* its sign is reversed"),
+    (YAW_RATE, TURNS, np.radians, "probably in rad/s, not in deg/s"),
+    (YAW_RATE, 0.0 * TURNS, lambda v: 0.0 * v + 0.01, "between 30 and 38 s .* keeps one value"),
+    (ACCELERATION, 20.0 * TURNS, lambda v: 9.80665 * v, r"acceleration of log between 2. .* probably in m/s\^2, not"),
+    (SPEED, SPEEDS, lambda v: 0.0 * v + 12.0, "speed of log between 30 and 38 s .* keeps one value"),
+    (SPEED, SPEEDS, lambda v: 3.6 * v, "probably in km/h"),
+])  # fmt: skip
+def test_a_part_of_a_drive_that_contradicts_is_refused_with_its_time(
+    quantity: Quantity, truth: np.ndarray, change, message: str
+) -> None:
+    unit = {"yaw rate": "deg/s", "speed": "m/s", "acceleration": "g"}[quantity.name]
+    reference, sane = noisy(truth, 0.1 * quantity.strong), noisy(truth, 0.02 * quantity.strong, 2)
+    part = np.where((TIME >= 30.0) & (TIME < 42.0), change(sane), sane)
+    require_throughout(quantity, unit, "log", TIME, reference, lambda lag: np.interp(TIME + lag, TIME, sane), 0.0)
+    with pytest.raises(InputError, match=message):
+        require_throughout(quantity, unit, "log", TIME, reference, lambda lag: np.interp(TIME + lag, TIME, part), 0.0)
+
+
+def test_a_clock_that_jumps_inside_a_drive_is_refused() -> None:
+    usual, late = shifted(0.1), shifted(0.6)
+    require_throughout(YAW_RATE, "deg/s", "log", TIME, TURNS, usual, 0.1)
+    with pytest.raises(InputError, match=r"clocks of log between .* comes \+0.50 s later .* one of them jumped"):
+        require_throughout(
+            YAW_RATE, "deg/s", "log", TIME, TURNS, lambda lag: np.where(TIME < 30.0, usual(lag), late(lag)), 0.1
+        )
