@@ -20,7 +20,8 @@ from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import CSV_COLUMNS, ESTIMATE_COLUMNS, PAIRED_COLUMNS
 from lanebound.agents.benchmark.statistics import RESAMPLES, VERDICT_SEEDS, seeds_to_exclude
 from lanebound.agents.benchmark.store import stored_columns
-from lanebound.agents.benchmark.suite import TEST, TRAIN, SuiteConfig, flat_changes, load_suite, tuned_places
+from lanebound.agents.benchmark.suite import TEST, TRAIN, SuiteConfig, flat_changes, load_suite
+from lanebound.agents.benchmark.untuned import tuned_places
 from lanebound.agents.benchmark.verdicts import MARGIN
 from lanebound.agents.drivers import ABOUT
 from lanebound.envs.ids import CLASSES

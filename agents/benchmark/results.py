@@ -25,7 +25,8 @@ from lanebound.agents.benchmark.statistics import (
     is_clear,
 )
 from lanebound.agents.benchmark.store import EpisodeStore
-from lanebound.agents.benchmark.suite import SuiteConfig, is_untuned
+from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.untuned import is_untuned
 from lanebound.agents.checkpointing.files import replace_file
 from lanebound.integrity.core.errors import InputError
 

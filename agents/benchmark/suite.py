@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
-from importlib.resources import files
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 from pydantic import ValidationInfo, field_validator, model_validator
 
@@ -19,9 +17,6 @@ from lanebound.agents.presets import load_named
 from lanebound.envs import FaultLevel
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError, InputError
-
-if TYPE_CHECKING:
-    from lanebound.agents.benchmark.outcome import Place
 
 __all__ = [
     "SPLITS",
@@ -32,10 +27,8 @@ __all__ = [
     "Split",
     "SuiteConfig",
     "flat_changes",
-    "is_untuned",
     "load_suite",
     "parse_agents",
-    "tuned_places",
 ]
 
 
@@ -44,28 +37,6 @@ Split = Literal["train", "test"]
 TRAIN: Final = range(1000, 2000)
 TEST: Final = range(10_000, 20_000)
 SPLITS: Final[dict[Split, range]] = {"train": TRAIN, "test": TEST}
-
-
-TUNED_AGENT, PRESET = "cautious", "drivers/cautious.yaml"
-NO_FAULTS = "none"
-
-
-@cache
-def tuned_places() -> tuple[tuple[str, str], ...]:
-    """Base of the world and sky of all places with tuned margins, without faults."""
-    import yaml
-
-    found = yaml.safe_load(files("lanebound.configs").joinpath(PRESET).read_text(encoding="utf-8"))
-    return tuple((base, sky) for base, skies in found["at"].items() for sky in skies)
-
-
-def is_untuned(chosen: AgentConfig, place: Place) -> bool:
-    """Whether an agent has tuned margins, but none for this place; its own figures count as tuned."""
-    if chosen.agent != TUNED_AGENT or chosen.figures:
-        return False
-    from lanebound.envs.registration import base_of
-
-    return place.faults != NO_FAULTS or (base_of(place.env), place.sky) not in tuned_places()
 
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")

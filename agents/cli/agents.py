@@ -31,7 +31,7 @@ def agents(as_json: AsJson = False) -> None:
 
 def _tuned() -> str:
     """Environments and skies for which the constant margins were tuned."""
-    from lanebound.agents.benchmark.suite import tuned_places
+    from lanebound.agents.benchmark.untuned import tuned_places
     from lanebound.agents.cli.static import static_table
 
     names = {

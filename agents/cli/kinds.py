@@ -30,7 +30,7 @@ KINDS = {
     "odometer": "lanebound.integrity.sensors.odometer:OdometerConfig",
     "positioning": "lanebound.integrity.positioning.config:PositioningConfig",
     "sky_level": "lanebound.envs.sky.level:SkyLevel",
-    "v2v": "lanebound.integrity.sensors.clock:V2vConfig",
+    "v2v": "lanebound.integrity.sensors.v2v:V2vConfig",
 }
 
 

@@ -35,7 +35,7 @@ def test_every_agent_is_described():
 
 def test_as_table_and_as_json(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr("lanebound.agents.benchmark.suite.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
+    monkeypatch.setattr("lanebound.agents.benchmark.untuned.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
     table = run().stdout
     assert all(name in table for name in AGENTS)
     assert "{agent: cbf, figures: {over: integrity_aware}}" in table

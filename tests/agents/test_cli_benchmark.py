@@ -238,7 +238,7 @@ def test_who_failed_gets_no_colour_and_figures_of_fewer_seeds_say_so(capsys, mon
 
 
 def test_each_reference_has_its_differences_and_untuned_caution_is_named(capsys, monkeypatch):
-    monkeypatch.setattr("lanebound.agents.benchmark.suite.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
+    monkeypatch.setattr("lanebound.agents.benchmark.untuned.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
     given = {"agents": ["nominal", "cautious", "integrity_aware"], "envs": ["CarFollowing"]}
     told = coloured(made_up_results(**given, reference=["nominal", "cautious"]), capsys, monkeypatch)
     urban, dense = told.split("dense sky")

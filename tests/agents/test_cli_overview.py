@@ -71,7 +71,7 @@ def test_failures_are_told_beside_the_figures_that_leave_them_out(capsys):
 
 @pytest.mark.parametrize(("skies", "told"), [(["urban", "dense"], "3 of its 4 cells"), (["dense"], "1 of its 2 cells")])
 def test_margins_that_were_not_fitted_are_told(capsys, monkeypatch, skies, told):
-    monkeypatch.setattr("lanebound.agents.benchmark.suite.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
+    monkeypatch.setattr("lanebound.agents.benchmark.untuned.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
     print_overview(made_up_results(agents=["nominal", "cautious"], skies=skies))
     assert f"cautious is untuned in {told}: its margins were not fitted there." in capsys.readouterr().out
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lanebound.agents.benchmark import suite as untuned
+from lanebound.agents.benchmark import untuned
 from lanebound.agents.benchmark.outcome import Place
 from lanebound.agents.benchmark.suite import AgentConfig
 from lanebound.agents.drivers.margins import TunedCaution

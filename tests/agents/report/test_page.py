@@ -164,7 +164,7 @@ def test_who_failed_is_never_the_best_and_figures_of_fewer_seeds_say_so():
 
 
 def test_each_reference_has_its_pictures_and_untuned_caution_is_named(monkeypatch):
-    monkeypatch.setattr("lanebound.agents.benchmark.suite.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
+    monkeypatch.setattr("lanebound.agents.benchmark.untuned.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
     agents = ["nominal", "cautious", "integrity_aware"]
     html = render(made_up_results(agents=agents, reference=["nominal", "cautious"], envs=["CarFollowing"]))
     headings = re.findall(r"<h3>Differences against ([^<]*)</h3>", html)

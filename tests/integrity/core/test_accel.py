@@ -37,7 +37,7 @@ def _run_kernel(code, **environment):
     """Run ``code`` and a small kernel in a new process; returns the cache directory."""
     code += (
         "\nfrom lanebound.integrity.core import accel"
-        "\nfrom lanebound.integrity.core.frames import wrap"
+        "\nfrom lanebound.integrity.core.angles_kernel import wrap"
         "\nfrom lanebound.integrity.core.kernel_cache import cache_root"
         "\nprint(cache_root(), wrap(7.0))"
     )
