@@ -53,7 +53,6 @@ class BeliefLoop:
     ----------
     believed : the vehicle that meta-actions control, on its own perceived road over the shared network
     episodes : belief, perception and scores as records of one row
-    time_s : since the start
     """
 
     def __init__(self, world: AbstractEnv, config: EnvConfig, context: EpisodeContext) -> None:
@@ -62,7 +61,7 @@ class BeliefLoop:
         world.road.network = fast_network(world.road.network, self.episodes.table)
         self.step_s, self.epoch_s = (float(self.episodes.rules[name][0]) for name in ("step_s", "epoch_s"))
         self.steps_per_epoch = config.navigation.steps_per_epoch(config.simulation_hz)
-        self.time_s, self._steps, self._ends_epoch = 0.0, 0, False
+        self._steps = 0
         self.actuated = config.actuators is not None
         self._onward: dict[tuple[LaneIndex, tuple[Any, ...]], int] = {}
         ego = world.vehicle
@@ -112,6 +111,16 @@ class BeliefLoop:
         """Of all navigating vehicles at the last epoch, the ego first, then by slot; None before and without any."""
         return None if self.episodes.navigation is None else self.episodes.navigation.solution
 
+    @property
+    def time_s(self) -> float:
+        """Since the start [s]."""
+        return self._steps * self.step_s
+
+    @property
+    def _ends_epoch(self) -> bool:
+        """Whether the last simulation step ended an epoch."""
+        return self._steps % self.steps_per_epoch == 0
+
     # A policy step
 
     def step_world(self, command: Any) -> WorldStep:
@@ -137,8 +146,6 @@ class BeliefLoop:
         self.world.road.step(self.step_s)
         self.world.steps += 1
         self._steps += 1
-        self.time_s = self._steps * self.step_s
-        self._ends_epoch = self._steps % self.steps_per_epoch == 0
 
     def sense(self) -> None:
         """Take the true poses of the vehicles; an epoch that ends is measured."""

@@ -271,8 +271,10 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         """
         loop = self._loop()
         command = checked_command(self.action_space, action)
-        end = loop.step_world(command)  # drive: the belief follows all simulation steps but the last
-        loop.sense()  # that one as well, now that vehicles have entered and left
+        # Drive all simulation steps; the belief follows all but the last. Worlds add and remove vehicles after the last
+        # one, so it is sensed here.
+        end = loop.step_world(command)
+        loop.sense()
         loop.locate()
         loop.perceive()
         if loop.time_s >= self._duration_s - 0.5 * self.dt_s:

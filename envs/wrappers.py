@@ -12,8 +12,8 @@ instead of moment by moment.
 >>> observation, info = env.reset(seed=1)
 >>> observation, reward, cost, terminated, truncated, info = env.step(env.action_space.sample())
 
-From inside to outside: ``EpisodeStatistics``, Gymnasium's ``Autoreset``, ``SafetyGymnasium``. Another order is refused,
-of these wrappers when they are made, of Gymnasium's and stable-baselines3's at a step.
+From inside to outside: ``EpisodeStatistics``, Gymnasium's ``Autoreset``, ``SafetyGymnasium``. Another order is refused:
+wrappers of this module refuse it in their constructor; wrappers of Gymnasium and stable-baselines3 are found at a step.
 ``SafetyGymnasiumVector`` is for vector environments.
 """
 

@@ -13,7 +13,7 @@ from lanebound.agents.bench.rows import Row, alternate, median_ratio
 from lanebound.integrity.core.accel import serial
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.araim import AraimConfig, levels_at
-from lanebound.integrity.monitoring.risk import enumerate_faults
+from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 from lanebound.integrity.positioning import lambda_kernel as kernel
 from lanebound.integrity.positioning.ambiguity import NODE_LIMIT
 

@@ -114,7 +114,7 @@ def measure(rounds: int = 5) -> list[Row]:
 
     rates = alternate({"threads": lambda: fast(True), "one": lambda: fast(False), "naive": slow}, rounds)
     return [
-        Row("pl_kernel_n30_vs_naive", median_ratio(rates, "threads", "naive"), "x", gate=400.0, stretch=1500.0),
-        Row("pl_kernel_n30_epochs_per_s", float(np.median(rates["threads"])), "1/s", stretch=1.5e6),
+        Row("pl_kernel_n30_vs_naive", median_ratio(rates, "threads", "naive"), "x", gate=800.0, stretch=3000.0),
+        Row("pl_kernel_n30_epochs_per_s", float(np.median(rates["threads"])), "1/s", stretch=3.0e6),
         Row("pl_kernel_n30_epochs_per_s_one_core", float(np.median(rates["one"])), "1/s"),
     ]

@@ -57,7 +57,7 @@ def _print_rtk_notes(found: dict[str, Any]) -> None:
 
 def _print_place_notes(found: dict[str, Any]) -> None:
     """Print where given positions do not fit the codes of a receiver, or the fixed baseline."""
-    from lanebound.integrity.replay.code_epochs import NEAR_M
+    from lanebound.integrity.replay.code_places import NEAR_M
 
     given = found["positions_given_by"]
     remedy = "correct" if found["base_antenna_from"] == given["base"] else "give"

@@ -1,7 +1,7 @@
 """The promise of the barrier filter over many random episodes, without faults and with injected ones.
 
 Reckless drivers follow a stop-and-go leader under every sky; the filter is all that is between them and a crash. Every
-decision is judged by the truth . With faults the error may leave its level: how often that
+decision is judged by the truth. With faults the error may leave its level: how often that
 happens, and how often a barrier is lost, is compared with the integrity risk.
 
 The promise is an induction: from a state with ``h >= 0`` a decision made while all assumptions hold leads to a state

@@ -22,7 +22,8 @@ from lanebound.agents.studies.bounding import rate_of
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.core.streams import Streams, named_generator
 from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance, minimal_detectable_bias, w_test
-from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude, noncentrality
+from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
+from lanebound.integrity.monitoring.significance import noncentrality
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.positioning.least_squares import design_matrix

@@ -37,8 +37,8 @@ from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import FAMILY, MonitorKind, applicable, monitor_named
 from lanebound.integrity.monitoring.family.levels import predicted_level
-from lanebound.integrity.monitoring.family.memory import MonitorVerdicts
 from lanebound.integrity.monitoring.family.monitor import BY_ALL_RISKS, watch
+from lanebound.integrity.monitoring.family.outcome import MonitorVerdicts
 from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import TrackedEpochs, recorded_epochs
 from lanebound.integrity.sky.systems import System

@@ -1,5 +1,6 @@
 """Worlds of lanebound, plain scenarios of highway-env without navigation, and the declarations of all worlds."""
 
+from lanebound.envs.worlds.goals import has_crossed, has_left_roundabout, has_merged
 from lanebound.envs.worlds.highway import motorway_support
 from lanebound.envs.worlds.kinds import (
     Support,
@@ -9,7 +10,6 @@ from lanebound.envs.worlds.kinds import (
     world_kind,
     world_kinds,
 )
-from lanebound.envs.worlds.lanes import has_crossed, has_left_roundabout, has_merged
 from lanebound.envs.worlds.streets import CarFollowingWorld, LaneKeepingWorld, UrbanCanyonWorld
 
 __all__ = [

@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.monitoring.araim_kernel import AraimEpochs, ModeTables, level_modes
+from lanebound.integrity.monitoring.fault_modes import FaultModes
 from lanebound.integrity.monitoring.protection import protection_levels_batch
-from lanebound.integrity.monitoring.risk import FaultModes, RiskConfig
+from lanebound.integrity.monitoring.risk import RiskConfig
 
 __all__ = ["AraimConfig", "SortedModes", "checked_levels", "levels_at"]
 

@@ -223,7 +223,7 @@ def diagonal_covariance(variance: ArrayLike) -> Array:
 def minimal_detectable_bias(adjustment: Adjustment, lambda0: ArrayLike) -> Array:
     """Smallest bias of each row found: ``sqrt(lambda_0 / c'W Q_e W c)``, ``inf`` where it cannot be checked.
 
-    ``lambda0`` is that of :func:`~lanebound.integrity.monitoring.exclusion.noncentrality`.  (..., m), in units of y.
+    ``lambda0`` is that of :func:`~lanebound.integrity.monitoring.significance.noncentrality`.  (..., m), in units of y.
     """
     redundancy = _diagonal(adjustment.reliability)
     testable = redundancy > RANK_TOLERANCE * _diagonal(adjustment.weight)

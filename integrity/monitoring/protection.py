@@ -3,16 +3,11 @@
 ``PL = inf`` whenever no finite level holds the risk: no solution, a mode with a prior that cannot be solved, or no risk
 left after what is spent on events outside the modes. Columns and axes as in
 :mod:`lanebound.integrity.monitoring.separation`; priors of the fault-free column are 2 (both sides count).
-
-Factors and tables of SBAS levels are those of RTCA DO-229D, appendices A and J. SBAS has no fault modes of its own: the
-ground segment bounds every error by a normal law, and the level is a factor times the standard deviation (S3, section
-on SBAS).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -23,15 +18,13 @@ from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.core.records import one_record
 from lanebound.integrity.monitoring import protection_kernel as kernel
-from lanebound.integrity.monitoring.risk import FaultModes, RiskConfig, pair_risk, upper_quantile
+from lanebound.integrity.monitoring.fault_modes import FaultModes
+from lanebound.integrity.monitoring.risk import RiskConfig, pair_risk, upper_quantile
 from lanebound.integrity.monitoring.separation import Separation
 from lanebound.integrity.positioning.geometry_kernel import MAX_GROUPS
 
 __all__ = [
-    "GIVE_M2",
-    "UDRE_M2",
     "BatchLevels",
-    "Operation",
     "closed_form",
     "closed_form_published",
     "multi_hypothesis",
@@ -40,25 +33,6 @@ __all__ = [
     "scaled_by_rank",
     "tail_sum",
 ]
-
-
-UDRE_M2 = np.array(
-    [0.052, 0.0924, 0.1444, 0.283, 0.4678, 0.8315, 1.2992, 1.8709, 2.5465, 3.326, 5.1968, 20.787, 230.9661, 2078.695]
-)
-"""Variance of fast and long-term corrections for UDREI 0 to 13 (DO-229D table A-6); 14 is "not monitored", 15 "do not
-use"."""
-GIVE_M2 = np.array(
-    [0.0084, 0.0333, 0.0749, 0.1331, 0.2079, 0.2994, 0.4075, 0.5322, 0.6735, 0.8315, 1.1974, 1.8709, 3.326, 20.787,
-     187.0826]
-)  # fmt: skip
-"""Variance of the vertical ionospheric delay for GIVEI 0 to 14 (DO-229D table A-17); 15 is "not monitored"."""
-
-
-class Operation(Enum):
-    """Phase of flight: the factors K_H and K_V (DO-229D J.1)."""
-
-    EN_ROUTE = (6.18, 5.33)
-    PRECISION_APPROACH = (6.0, 5.33)
 
 
 Array = NDArray[np.float64]

@@ -29,8 +29,9 @@ from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.levels import normal_factor
-from lanebound.integrity.monitoring.family.memory import Memory, MonitorVerdicts
+from lanebound.integrity.monitoring.family.memory import Memory
 from lanebound.integrity.monitoring.family.monitor import GOES_ON, MEMORY, new_memory, watch
+from lanebound.integrity.monitoring.family.outcome import MonitorVerdicts
 from lanebound.integrity.monitoring.family.rejection import global_threshold
 from lanebound.integrity.monitoring.family.weighting import CodeBudget
 from lanebound.integrity.navigators.context_guard import CONTEXT

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex2 import as_version_3
 from lanebound.integrity.recorded.rinex_header import (
-    BDT_BEHIND_GPS_S,
     FIRST_LABEL,
     LABEL_AT,
     SYSTEMS,
@@ -32,6 +31,7 @@ from lanebound.integrity.recorded.rinex_header import (
 )
 from lanebound.integrity.recorded.series import in_order
 from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
+from lanebound.integrity.recorded.time_scales import BDT_BEHIND_GPS_S
 from lanebound.integrity.sky.systems import PRN_BEFORE
 
 __all__ = ["Move", "Observations", "SystemRows", "read_observations"]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -133,14 +134,7 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     _require_signals(log)
     level, roll, pitch = levelled(log, config.rest_s)
     rates = _rates(log, config)
-    start, end = max(log.gps_time_s[0], track.gps_time_s[0]), min(log.gps_time_s[-1], track.gps_time_s[-1])
-    margin = float(LAGS_S[-1])
-    at = np.arange(start + margin, end - margin, 1.0 / config.rate_hz)
-    if at.size < config.rate_hz * (config.settle_s + config.longest_s):
-        raise InputError(
-            f"log and solution must share {config.settle_s + config.longest_s + 2 * margin:g} s, share "
-            f"{max(end - start, 0.0):.1f} s: are they of one drive, and both in GPS time?"
-        )
+    at = _common_times(log, track, config)
     place, speed, heading, known, near = _reference(track, at)
     in_gap = log.timing.bridged(at, LAG_S + 1.0 / config.rate_hz, LAG_S + 1.0 / config.rate_hz)
     bridged = in_gap | ~near
@@ -165,13 +159,7 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         raise InputError(
             f"the log must begin with {config.rest_s:g} s at rest, moves at {moved:.1f} m/s: give another rest_s"
         )
-    off = [float(np.std(sensed(rates[:, 2], lag)[part] - turning[part])) for lag in LAGS_S]
-    lag = float(LAGS_S[int(np.argmin(off))])
-    if lag in LAGS_S[[0, -1]]:  # the minimum lies beyond, or nowhere
-        raise InputError(
-            f"turns must show the lag of the log within {LAGS_S[-1]:g} s, its edge fits best: give a longer "
-            "calibration_s, with turns, or correct the times"
-        )
+    lag = _lag_of_turns(lambda lag: sensed(rates[:, 2], lag)[part], turning[part])
     yaw = sensed(rates[:, 2], lag)
     bias = float((yaw[part] - turning[part]).mean())
     force = np.stack([sensed(level.force_mps2[:, k], lag) for k in range(2)], -1)
@@ -200,6 +188,32 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         "coherence": coherence, "lag_s": lag, "yaw_bias_degps": math.degrees(bias), "from_s": float(at[first] - at[0]),
         "agreement": {name: found.figures() for name, found in agreements.items()},
     }  # fmt: skip
+
+
+def _common_times(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> Array:
+    """Times (N,) [s] at ``rate_hz`` that log and solution share, less the longest lag; InputError for too few."""
+    start, end = max(log.gps_time_s[0], track.gps_time_s[0]), min(log.gps_time_s[-1], track.gps_time_s[-1])
+    margin = float(LAGS_S[-1])
+    at = np.arange(start + margin, end - margin, 1.0 / config.rate_hz)
+    if at.size < config.rate_hz * (config.settle_s + config.longest_s):
+        raise InputError(
+            f"log and solution must share {config.settle_s + config.longest_s + 2 * margin:g} s, share "
+            f"{max(end - start, 0.0):.1f} s: are they of one drive, and both in GPS time?"
+        )
+    return at
+
+
+def _lag_of_turns(sensed: Callable[[float], Array], turning: Array) -> float:
+    """The lag [s] at which sensed yaw rates differ least from those of the solution, but for a bias; InputError at the
+    edge of LAGS_S."""
+    off = [float(np.std(sensed(float(lag)) - turning)) for lag in LAGS_S]
+    lag = float(LAGS_S[int(np.argmin(off))])
+    if lag in LAGS_S[[0, -1]]:  # the minimum lies beyond, or nowhere
+        raise InputError(
+            f"turns must show the lag of the log within {LAGS_S[-1]:g} s, its edge fits best: give a longer "
+            "calibration_s, with turns, or correct the times"
+        )
+    return lag
 
 
 def _require_signals(log: ImuLog) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.baseline import Baseline, date_text
-from lanebound.integrity.replay.code_epochs import MOVES_M, WRONG_M, CodePlaces, require_gps_time
+from lanebound.integrity.replay.code_places import MOVES_M, WRONG_M, CodePlaces, require_gps_time
 from lanebound.integrity.replay.signal_choice import choose_signals
 from lanebound.integrity.sky.broadcast import VALID_FOR_S, Ephemerides
 from lanebound.integrity.sky.klobuchar import Klobuchar

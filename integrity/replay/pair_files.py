@@ -14,7 +14,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.packed import CRINEX_REMEDY
 from lanebound.integrity.recorded.rinex_observation import read_observations
 from lanebound.integrity.recorded.source import Lines
-from lanebound.integrity.replay.code_epochs import CodePlaces
+from lanebound.integrity.replay.code_places import CodePlaces
 from lanebound.integrity.replay.signal_choice import choose_signals
 from lanebound.integrity.sky.broadcast import Ephemerides, read_navigation
 

@@ -33,6 +33,7 @@ LIKE = 0.1  # relative, of the slope of a unit
 LAG_S, LAG_STEP_S, LONGEST_LAG_S = 0.5, 0.01, 20.0
 NEARER = 3.0  # times nearer are positions whose times are right
 WINDOW_S, WINDOW_STEP_S = 8.0, 2.0
+STILL, STRAIGHT, MOVES = 0.25, 0.05, 0.5  # spread in a window over a strong motion: below, too little to test
 FROZEN = 1e-6  # of a strong motion; beyond rounding, far below the resolution of any sensor
 JUMP_S, LONGEST_JUMP_S = 0.25, 0.7  # of a clock inside a drive; a longer one leaves a gap, or no likeness
 SURE_CORRELATION, CLEARLY = 0.7, 0.2  # of a lag that needs no wider search, and by how much another must be better
@@ -170,7 +171,8 @@ def require_throughout(
     quantity: Quantity, unit: str, where: str, time_s: Array, reference: Array, sensed: Callable[[float], Array],
     lag_s: float,
 ) -> None:  # fmt: skip
-    """Test the windows of a drive: reference (N,) at times (N,) from its start, ``sensed`` and lag of require_lag.
+    """Test windows of WINDOW_S of a drive: reference (N,) at times (N,) [s] from its start, both in the unit of the
+    quantity; ``sensed`` and lag [s] as of :func:`require_lag`.
 
     Raises
     ------
@@ -189,14 +191,14 @@ def require_throughout(
         there = f"{where} between {start:.0f} and {start + WINDOW_S:.0f} s"
         spread = float(np.std(true)) / quantity.strong
         # inertial sensors have noise even on a straight road, which the reference shows by its own
-        if np.ptp(felt[usual]) < FROZEN * quantity.strong and spread > (0.05 if quantity.biased else 0.25):
+        if np.ptp(felt[usual]) < FROZEN * quantity.strong and spread > (STRAIGHT if quantity.biased else STILL):
             raise InputError(
                 f"{quantity.name} of {there} must change as the reference does, it keeps one value: the sensor was "
                 "frozen or padded; cut the recording there"
             )
         if not quantity.biased and float(np.mean(true)) > quantity.strong:
             require_agreement(quantity, unit, there, true, felt[usual], WINDOW_S)
-        if spread < 0.5:
+        if spread < MOVES:  # neither sign nor lag shows
             continue
         require_agreement(changes, unit, there, true, felt[usual], WINDOW_S)
         if quantity.name == ACCELERATION.name:  # slopes of the road shift it

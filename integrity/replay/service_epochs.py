@@ -22,7 +22,8 @@ from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.positioning.smoothing_kernel import HATCH, smooth
 from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.recorded.smartloc import Odometry, SmartLoc
-from lanebound.integrity.replay.code_epochs import LEAST_DBHZ, recorded_epochs, require_gps_time
+from lanebound.integrity.replay.code_epochs import LEAST_DBHZ, recorded_epochs
+from lanebound.integrity.replay.code_places import require_gps_time
 from lanebound.integrity.replay.differences import Arc, arc_of, matched, troposphere_m
 from lanebound.integrity.replay.doppler_rates import doppler_rates
 from lanebound.integrity.replay.sagnac import ranges_and_sights

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from lanebound.integrity.monitoring.exclusion import two_sided_factor
 from lanebound.integrity.monitoring.family.kinds import register_monitor
 from lanebound.integrity.monitoring.family.levels import LevelWork
+from lanebound.integrity.monitoring.significance import two_sided_factor
 
 
 def level(work: LevelWork) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.monitoring.araim import EAST_RAD, GROUPS, UP_FIRST, AraimConfig, levels_at
-from lanebound.integrity.monitoring.risk import FaultModes, enumerate_faults
+from lanebound.integrity.monitoring.fault_modes import FaultModes, enumerate_faults
 from lanebound.integrity.monitoring.separation import Separation, separate
 
 Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from lanebound.integrity.core.config import Config, Field
-from lanebound.integrity.monitoring.exclusion import two_sided_factor
+from lanebound.integrity.monitoring.significance import two_sided_factor
 from lanebound.integrity.positioning.code_solution import CodeFit
 
 __all__ = ["PositionPhaseConfig", "PositionTest", "check_position", "raim_threshold"]

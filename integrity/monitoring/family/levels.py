@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, chndtrix
 
-from lanebound.integrity.monitoring.exclusion import noncentrality, two_sided_factor
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit
@@ -26,7 +25,8 @@ from lanebound.integrity.monitoring.family.separations import (
     published_level,
     root_level,
 )
-from lanebound.integrity.monitoring.protection import Operation
+from lanebound.integrity.monitoring.sbas import Operation
+from lanebound.integrity.monitoring.significance import noncentrality, two_sided_factor
 
 __all__ = [
     "LEVELS", "OWN_LEVELS", "Level", "LevelWork", "fixed_level_false_alarm", "isotropic_factor", "noncentralities",

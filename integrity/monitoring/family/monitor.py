@@ -8,22 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import require_in_range
-from lanebound.integrity.monitoring.family.bank import BankMemory, CompositeMemory, composite, extended
+from lanebound.integrity.monitoring.family.bank import BankMemory, extended
+from lanebound.integrity.monitoring.family.composite import CompositeMemory, composite
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind, TestKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit, solve_codes
+from lanebound.integrity.monitoring.family.fixed import fixed_carriers
 from lanebound.integrity.monitoring.family.levels import LEVELS, LevelWork, fixed_level_false_alarm
-from lanebound.integrity.monitoring.family.memory import (
-    KalmanMemory,
-    Memory,
-    MonitorOutcome,
-    MonitorVerdicts,
-    Remembered,
-    isotropic_kalman,
-)
+from lanebound.integrity.monitoring.family.memory import KalmanMemory, Memory, Remembered, isotropic_kalman
 from lanebound.integrity.monitoring.family.odds import trusted_codes
+from lanebound.integrity.monitoring.family.outcome import MonitorOutcome, MonitorVerdicts
 from lanebound.integrity.monitoring.family.rejection import REJECTIONS, ROBUST, global_threshold, local_threshold
-from lanebound.integrity.monitoring.family.relative import fixed_carriers, relative_position, relative_range
+from lanebound.integrity.monitoring.family.relative import relative_position, relative_range
 from lanebound.integrity.monitoring.family.separations import advanced_levels
 from lanebound.integrity.monitoring.family.vertical import vertical_level
 from lanebound.integrity.monitoring.family.weighting import weighted_codes

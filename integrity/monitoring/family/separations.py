@@ -15,8 +15,9 @@ from lanebound.integrity.monitoring.araim import EAST_RAD, AraimConfig, SortedMo
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
 from lanebound.integrity.monitoring.family.epochs import MOST_SYSTEMS, CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit
+from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 from lanebound.integrity.monitoring.protection import closed_form_published, protection_levels_batch
-from lanebound.integrity.monitoring.risk import RiskConfig, Variant, enumerate_faults, false_alarm_factor
+from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
 from lanebound.integrity.monitoring.separation import Separation
 from lanebound.integrity.positioning.least_squares import Solvability
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from lanebound.integrity.monitoring.araim import UP_FIRST
-from lanebound.integrity.monitoring.exclusion import two_sided_factor
 from lanebound.integrity.monitoring.family.config import LevelKind
 from lanebound.integrity.monitoring.family.levels import (
     LevelWork,
@@ -25,7 +24,8 @@ from lanebound.integrity.monitoring.family.levels import (
 )
 from lanebound.integrity.monitoring.family.odds import odds_axes
 from lanebound.integrity.monitoring.family.separations import root_axes
-from lanebound.integrity.monitoring.protection import Operation
+from lanebound.integrity.monitoring.sbas import Operation
+from lanebound.integrity.monitoring.significance import two_sided_factor
 
 __all__ = ["vertical_level"]
 

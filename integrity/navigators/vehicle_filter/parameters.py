@@ -12,8 +12,8 @@ from scipy.special import chdtri
 from lanebound.integrity.core.errors import require_in_range
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring.alerts import alert_parameters
-from lanebound.integrity.monitoring.protection import Operation
 from lanebound.integrity.monitoring.risk import Variant, upper_quantile
+from lanebound.integrity.monitoring.sbas import Operation
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.levels_kernel import CASE
 from lanebound.integrity.navigators.vehicle_filter.records_kernel import PARAMETERS

@@ -15,8 +15,8 @@ from lanebound.integrity.monitoring.detection import (
     minimal_detectable_bias,
     normal_threshold,
 )
-from lanebound.integrity.monitoring.exclusion import noncentrality
 from lanebound.integrity.monitoring.risk import Variant
+from lanebound.integrity.monitoring.significance import noncentrality
 from lanebound.integrity.positioning.least_squares import design_matrix
 from plain_least_squares import solve
 

@@ -8,8 +8,9 @@ from plain_araim import araim, vertical_separation
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.araim import AraimConfig
+from lanebound.integrity.monitoring.fault_modes import FaultModes, enumerate_faults
 from lanebound.integrity.monitoring.protection import protection_levels, protection_levels_batch
-from lanebound.integrity.monitoring.risk import FaultModes, RiskConfig, enumerate_faults
+from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.positioning.least_squares import design_matrix
 

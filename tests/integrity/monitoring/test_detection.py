@@ -24,7 +24,7 @@ from lanebound.integrity.monitoring.detection import (
     separation_test,
     w_test,
 )
-from lanebound.integrity.monitoring.exclusion import noncentrality
+from lanebound.integrity.monitoring.significance import noncentrality
 
 Array = NDArray[np.float64]
 

@@ -16,12 +16,12 @@ from lanebound.integrity.monitoring.exclusion import (
     FdeConfig,
     FdeOutcome,
     FdeResult,
-    Linking,
     Search,
     detect_and_exclude,
     fde_parameters,
     fde_thresholds,
 )
+from lanebound.integrity.monitoring.significance import Linking
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import comb
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring.risk import enumerate_faults
+from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 
 TWO_SYSTEMS = np.repeat([0, 1], 5)
 

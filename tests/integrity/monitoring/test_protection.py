@@ -20,12 +20,7 @@ from lanebound.integrity.monitoring.protection import (
     protection_levels_batch,
     tail_sum,
 )
-from lanebound.integrity.monitoring.risk import (
-    RiskConfig,
-    Variant,
-    false_alarm_factor,
-    multiple_fault_risk,
-)
+from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, multiple_fault_risk
 from lanebound.integrity.monitoring.separation import Separation, separate
 from lanebound.integrity.monitoring.separation_kernel import (
     find_modes,

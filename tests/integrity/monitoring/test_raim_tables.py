@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.monitoring.detection import chi2_threshold
-from lanebound.integrity.monitoring.exclusion import noncentrality
-from lanebound.integrity.monitoring.protection import Operation
 from lanebound.integrity.monitoring.risk import upper_quantile
+from lanebound.integrity.monitoring.sbas import Operation
+from lanebound.integrity.monitoring.significance import noncentrality
 
 # L3NAV, gps_example_11 (tables XFDNT): sqrt of the chi-square threshold for 1, 2, ... degrees of freedom, printed to
 # five decimals and to five of another program's.

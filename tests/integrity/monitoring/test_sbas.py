@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lanebound.integrity.monitoring.protection import GIVE_M2, UDRE_M2, Operation
+from lanebound.integrity.monitoring.sbas import GIVE_M2, UDRE_M2, Operation
 from lanebound.integrity.positioning.code_solution import semi_major_m
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
 

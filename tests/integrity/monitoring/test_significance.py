@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2, ncx2, norm
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring.exclusion import (
+from lanebound.integrity.monitoring.significance import (
     Linking,
     baarda_global_significance,
     baarda_local_significance,

@@ -16,17 +16,9 @@ from fault_rows import constellation_modes
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
-from lanebound.integrity.monitoring.exclusion import (
-    FdeConfig,
-    FdeOutcome,
-    Linking,
-    Search,
-    baarda_global_significance,
-    baarda_local_significance,
-    fde_parameters,
-    fde_thresholds,
-)
+from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, Search, fde_parameters, fde_thresholds
 from lanebound.integrity.monitoring.separation import Separation, separate
+from lanebound.integrity.monitoring.significance import Linking, baarda_global_significance, baarda_local_significance
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import LevelForm, Navigator, NavigatorConfig
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig

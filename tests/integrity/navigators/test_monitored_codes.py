@@ -14,8 +14,8 @@ from lanebound.agents.cli import app
 from lanebound.integrity import Fault, FaultSchedule, Navigator, NavigatorConfig, SkyMask, SkyTrack, truth_between
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
-from lanebound.integrity.monitoring.family.memory import MonitorVerdicts
 from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.monitoring.family.outcome import MonitorVerdicts
 from lanebound.integrity.navigators.monitored_codes import MonitoredCodesConfig, MonitoredCodesNavigator
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.solution import Solution

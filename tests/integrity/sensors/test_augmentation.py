@@ -9,7 +9,7 @@ import pytest
 
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import Streams
-from lanebound.integrity.monitoring.protection import GIVE_M2, UDRE_M2
+from lanebound.integrity.monitoring.sbas import GIVE_M2, UDRE_M2
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.augmentation import (

@@ -13,8 +13,8 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
-from lanebound.integrity.monitoring.family.memory import MonitorOutcome
 from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.monitoring.family.outcome import MonitorOutcome
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 
 CONFIG = monitor_named("craim").config()

@@ -10,8 +10,8 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.monitoring.family import monitor as monitor_module
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.kinds import FAMILY, applicable, monitor_named
-from lanebound.integrity.monitoring.family.memory import MonitorOutcome
 from lanebound.integrity.monitoring.family.monitor import MEMORY, watch
+from lanebound.integrity.monitoring.family.outcome import MonitorOutcome
 
 RISKS = [1e-2, 1e-5]
 FITTED = {"classes": {"laws": [{"sigma_m": 2.0}]}}

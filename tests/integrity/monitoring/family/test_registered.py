@@ -11,10 +11,10 @@ from code_geometry import quiet
 
 import lanebound.envs  # noqa: F401
 from lanebound.integrity.core.errors import ConfigError, InputError
-from lanebound.integrity.monitoring.exclusion import two_sided_factor
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
 from lanebound.integrity.monitoring.family.kinds import FAMILY, monitor_named, register_monitor, withdraw_monitor
 from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.monitoring.significance import two_sided_factor
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 
 

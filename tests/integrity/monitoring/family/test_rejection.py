@@ -10,8 +10,8 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
-from lanebound.integrity.monitoring.family.memory import MonitorOutcome
 from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.monitoring.family.outcome import MonitorOutcome
 from lanebound.integrity.monitoring.family.rejection import REJECTIONS, igg3_weight, local_threshold
 from lanebound.integrity.monitoring.family.separations import separations
 

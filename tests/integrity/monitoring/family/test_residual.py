@@ -10,13 +10,13 @@ from scipy.stats import binom, ncx2
 from worst_bias import SIGMA_M, SKIES, beyond, worst_code, worst_rate
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring.exclusion import noncentrality
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.levels import fixed_level_false_alarm, noncentralities, predicted_level
 from lanebound.integrity.monitoring.family.monitor import watch
 from lanebound.integrity.monitoring.family.rejection import global_threshold
+from lanebound.integrity.monitoring.significance import noncentrality
 from lanebound.integrity.positioning.least_squares import design_matrix
 
 RISK = np.array([1e-3])

@@ -15,8 +15,9 @@ from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.monitor import watch
 from lanebound.integrity.monitoring.family.separations import separations
+from lanebound.integrity.monitoring.fault_modes import FaultModes, enumerate_faults
 from lanebound.integrity.monitoring.protection import closed_form_published, protection_levels
-from lanebound.integrity.monitoring.risk import FaultModes, RiskConfig, Variant, enumerate_faults, false_alarm_factor
+from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
 from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.positioning.least_squares import design_matrix
 
