@@ -15,6 +15,7 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.simd_kernel import fma
 
 __all__ = ["FLAT_MOST_RAD", "SINE_MOST", "arcsine", "cosine", "power", "sine"]
 
@@ -23,15 +24,6 @@ SINE_MOST = 0.7072  # largest argument of ``arcsine``
 ONE, HALF_ROOT, FRACTION_BITS, BIAS = 0x3FF0000000000000, 0x3FE6A09E667F3BCD, 52, 1023  # bits of 1 and of sqrt(1/2)
 TO_WHOLE = 6755399441055744.0  # 1.5 2^52: adding it leaves no room for a fraction
 SMALLEST, LEAST_POWER = 1e-300, -1000.0  # keep logarithms and powers of zero finite
-
-
-def _fused(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
-    """``a b + c`` with a single rounding."""
-    kind = types.float64
-    return kind(kind, kind, kind), lambda context, builder, signature, args: builder.fma(*args)
-
-
-fma: Any = intrinsic(_fused)
 
 
 def _cast_bits(kind: Any, to: Any, llvm_type: Any) -> Any:

@@ -4,8 +4,8 @@ The multi-hypothesis level of an axis solves (S2 eq 10-11, with ``P_0 = 2``, ``T
 
     f(PL) = sum_i P_i Q((PL - T_i - b_i) / sigma_i) = budget
 
-by third-order steps on ``log f``, which is nearly a parabola: two or three evaluations reach 1e-10. The tail sum has a
-polynomial for the Mills ratio ``Q(z)/phi(z)`` and one for ``exp``, both of relative error
+by third-order steps on ``log f``, which is nearly a parabola: two or three evaluations reach 1e-10. The tail sum runs
+over whole vectors with a polynomial for the Mills ratio ``Q(z)/phi(z)`` and one for ``exp``, both of relative error
 below 4e-11. A level is accepted when an evaluation proves ``f(PL) <= budget``, or after a step so short that its
 remainder is less than the amount by which the level is then raised.
 
@@ -22,8 +22,22 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.simd_kernel import (
+    WIDTH,
+    absolute,
+    fma,
+    largest,
+    load,
+    maximum,
+    minimum,
+    padded,
+    root_of,
+    spread,
+    store,
+    total,
+    where_less,
+)
 from lanebound.integrity.monitoring.separation_kernel import (
-    TILE,
     Modes,
     add_subset,
     find_modes,
@@ -31,7 +45,6 @@ from lanebound.integrity.monitoring.separation_kernel import (
     moment_scratch,
     set_factors,
     set_priors,
-    side_by_side,
 )
 from lanebound.integrity.positioning.geometry_kernel import (
     MAX_GROUPS,
@@ -124,73 +137,80 @@ def _third_order(g: float, slope: float, curvature: float, twist: float) -> floa
 
 @jit(borrows=True, forceinline=True)
 def _find_offsets(count: int, modes: Modes) -> None:
-    """Offset and rate of both axes."""
+    """Offset and rate of both axes; entries without effect to the next multiple of WIDTH."""
     for axis in range(AXES):
-        for k in range(count):
-            modes.rate[axis, k] = 1.0 / modes.sigma[axis, k]
-            modes.offset[axis, k] = modes.delta[axis, k] * modes.k_fa[k] + modes.bias[axis, k]
+        for k in range(0, count, WIDTH):
+            store(1.0 / load(modes.sigma, axis, k), modes.rate, axis, k)
+            offset = fma(load(modes.delta, axis, k), load(modes.k_fa, k), load(modes.bias, axis, k))
+            store(offset, modes.offset, axis, k)
+    for k in range(count, padded(count)):
+        modes.weight[k], modes.log_prior[k] = 0.0, -np.inf
+        for axis in range(AXES):
+            modes.offset[axis, k], modes.rate[axis, k] = 0.0, 0.0
 
 
-@jit(forceinline=True)
-def _polynomial(s: float, coefficients: tuple[float, ...]) -> float:
-    """Horner's rule."""
-    p = coefficients[0]
+@jit
+def _polynomial(s: Any, coefficients: Any) -> Any:
+    """Horner's rule in all lanes."""
+    p = spread(coefficients[0])
     for i in range(1, len(coefficients)):
-        p = p * s + coefficients[i]
+        p = fma(p, s, coefficients[i])
     return p
 
 
-@jit(borrows=True, forceinline=True)
-def _find_tails(axis: int, m: int, tile: Any) -> None:
-    """``Q(z)`` and ``exp(-z^2/2)`` of m modes, side by side."""
-    for k in range(side_by_side(m)):
-        z = tile.z[axis, k]
-        a = min(abs(z), Z_MAX)
-        e = _polynomial(a * a * (-1.0 / 512.0), EXP)
-        for _ in range(8):
-            e *= e
-        upper = e * _polynomial((a - 5.0) / (a + 5.0), MILLS)
-        tile.upper[axis, k], tile.density[axis, k] = 1.0 - upper if z < 0.0 else upper, e
+@jit
+def _upper_tail(z: Any) -> tuple[Any, Any]:
+    """``Q(z)`` and ``exp(-z^2/2)`` in all lanes."""
+    a = minimum(absolute(z), Z_MAX)
+    e = _polynomial(a * a * (-1.0 / 512.0), EXP)
+    for _ in range(8):
+        e *= e
+    upper = e * _polynomial((a - 5.0) / (a + 5.0), MILLS)
+    return where_less(z, 0.0, 1.0 - upper, upper), e
+
+
+@jit
+def _add_tails(
+    x: float, axis: int, k: int, weights: Array, offsets: Array, rates: Array, f: Any, f1: Any, f2: Any, f3: Any
+) -> Any:
+    """The sums of :func:`tails`, continued by the modes k to k + WIDTH - 1."""
+    rate, weight = load(rates, axis, k), load(weights, k)
+    z = (x - load(offsets, axis, k)) * rate
+    upper, e = _upper_tail(z)
+    first = weight * rate * e
+    second = first * rate
+    return fma(weight, upper, f), f1 + first, fma(second, z, f2), fma(second * rate, fma(z, z, -1.0), f3)
 
 
 @jit(borrows=True)
-def tails(x_at: float, x_ct: float, count: int, modes: Modes) -> Any:
-    """``f``, ``-f'``, ``f''`` and ``-f'''`` of AT at x_at, and those of CT at x_ct."""
-    tile, offset, rate = modes.work[0], modes.offset, modes.rate
-    a, a1, a2, a3, c, c1, c2, c3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for first in range(0, count, TILE):
-        m = min(TILE, count - first)
-        for k in range(m):
-            tile.z[0, k] = (x_at - offset[0, first + k]) * rate[0, first + k]
-            tile.z[1, k] = (x_ct - offset[1, first + k]) * rate[1, first + k]
-        _find_tails(0, m, tile)
-        _find_tails(1, m, tile)
-        for k in range(m):  # both axes in one loop: their sums do not wait for each other
-            weight, r, z = modes.weight[first + k], rate[0, first + k], tile.z[0, k]
-            slope = weight * r * tile.density[0, k]
-            a += weight * tile.upper[0, k]
-            a1 += slope
-            a2 += slope * r * z
-            a3 += slope * r * r * (z * z - 1.0)
-            r, z = rate[1, first + k], tile.z[1, k]
-            slope = weight * r * tile.density[1, k]
-            c += weight * tile.upper[1, k]
-            c1 += slope
-            c2 += slope * r * z
-            c3 += slope * r * r * (z * z - 1.0)
-    at = a, a1 * INV_SQRT2PI, a2 * INV_SQRT2PI, a3 * INV_SQRT2PI
-    return at, (c, c1 * INV_SQRT2PI, c2 * INV_SQRT2PI, c3 * INV_SQRT2PI)
+def tails(x_at: float, x_ct: float, count: int, weights: Array, offsets: Array, rates: Array) -> Any:
+    """``f``, ``-f'``, ``f''`` and ``-f'''`` of AT at x_at, and those of CT at x_ct: two chains side by side."""
+    zero = spread(0.0)
+    at, ct = (zero, zero, zero, zero), (zero, zero, zero, zero)
+    for k in range(0, count, WIDTH):
+        at = _add_tails(x_at, 0, k, weights, offsets, rates, *at)
+        ct = _add_tails(x_ct, 1, k, weights, offsets, rates, *ct)
+    return _summed(at), _summed(ct)
+
+
+@jit
+def _summed(lanes: Any) -> Any:
+    f, f1, f2, f3 = lanes
+    return total(f), total(f1) * INV_SQRT2PI, total(f2) * INV_SQRT2PI, total(f3) * INV_SQRT2PI
 
 
 @jit(borrows=True)
 def _start(axis: int, log_budget: float, count: int, modes: Modes) -> float:
     """The largest level that one mode alone needs: just below the root."""
-    x = 0.0
-    for k in range(count):
-        log_p = log_budget - modes.log_prior[k]
-        if log_p < -0.7:
-            x = max(x, _rough_quantile(log_p) * modes.sigma[axis, k] + modes.offset[axis, k])
-    return x
+    x = spread(0.0)
+    for k in range(0, count, WIDTH):
+        log_p = log_budget - load(modes.log_prior, k)
+        t = root_of(minimum(log_p, -0.7) * -2.0)  # as _rough_quantile
+        over = fma(t, fma(t, 0.010328, 0.802853), 2.515517)
+        under = fma(t, fma(t, fma(t, 0.001308, 0.189269), 1.432788), 1.0)
+        level = fma(t - over / under, load(modes.sigma, axis, k), load(modes.offset, axis, k))
+        x = maximum(x, where_less(log_p, -0.7, level, 0.0))
+    return float(largest(x))
 
 
 @jit(borrows=True)
@@ -246,7 +266,7 @@ def _roots(budget_at: float, budget_ct: float, count: int, modes: Modes, out: Ar
     for i in range(MAX_STEPS):
         if done_at and done_ct:
             break
-        at, ct = tails(x_at, x_ct, count, modes)
+        at, ct = tails(x_at, x_ct, count, modes.weight, modes.offset, modes.rate)
         if not done_at:
             done_at, x_at, low_at, high_at = _next_level(i, 0, x_at, low_at, high_at, at, budget_at, count, modes)
             out[0] = x_at if done_at else high_at
@@ -325,11 +345,15 @@ def closed_form_published(count: int, k_md: Array, modes: Modes, out: Array) -> 
 @jit(borrows=True)
 def pair_risk(count: int, priors: Array) -> float:
     """Bound of the probability of two or more faults at once, ``sum_{i<j} P_i P_j`` over the modes 1 to count - 1."""
-    once, squares = 0.0, 0.0
-    for i in range(1, count):
+    p, p2, k = spread(0.0), spread(0.0), 1
+    while k + WIDTH <= count:
+        prior = load(priors, k)
+        p, p2, k = p + prior, fma(prior, prior, p2), k + WIDTH
+    once, squares = total(p), total(p2)
+    for i in range(k, count):
         once += priors[i]
         squares += priors[i] * priors[i]
-    return 0.5 * (once * once - squares)
+    return float(0.5 * (once * once - squares))
 
 
 @jit(borrows=True)
@@ -390,20 +414,26 @@ class LevelResults(NamedTuple):
 
 @jit(borrows=True)
 def _usable(n: int, e: Array, group: Ints, rows: Array) -> bool:
-    """Whether n satellites have directions, groups, variances and biases that make sense.
+    """Whether n satellites have directions, groups, variances and biases that make sense; without branches.
 
-    e (>= n, 3) components of the directions, rows (3, >= n) variances and biases.
+    e (1, 3 n) components of the directions, rows (3, n) variances and biases; both are padded here.
     """
-    for k in range(n):
-        for axis in range(3):
-            if not abs(e[k, axis]) < LONGEST:
-                return False
-        variance, accuracy, bias = rows[0, k], rows[1, k], rows[2, k]
-        if not (0.0 < variance < np.inf and 0.0 < accuracy < np.inf and 0.0 <= bias < np.inf):
-            return False
-        if not 0 <= group[k] < MAX_GROUPS:
-            return False
-    return True
+    for i in range(3 * n, padded(3 * n)):
+        e[0, i] = 0.0
+    for i in range(n, padded(n)):
+        rows[0, i], rows[1, i], rows[2, i] = 1.0, 1.0, 1.0
+    bad = spread(0.0)
+    for i in range(0, 3 * n, WIDTH):
+        bad += where_less(absolute(load(e, 0, i)), LONGEST, 0.0, 1.0)
+    for i in range(0, n, WIDTH):
+        variance, accuracy, bias = load(rows, 0, i), load(rows, 1, i), load(rows, 2, i)
+        bad += where_less(0.0, variance, 0.0, 1.0) + where_less(variance, np.inf, 0.0, 1.0)
+        bad += where_less(0.0, accuracy, 0.0, 1.0) + where_less(accuracy, np.inf, 0.0, 1.0)
+        bad += where_less(bias, 0.0, 1.0, 0.0) + where_less(bias, np.inf, 0.0, 1.0)
+    bits = 0
+    for i in range(n):
+        bits |= group[i]
+    return total(bad) == 0.0 and 0 <= bits < MAX_GROUPS
 
 
 @jit
@@ -418,8 +448,8 @@ def find_levels(
     geo, modes = geometry_scratch(size, subsets), mode_scratch(size, subsets)
     moments, columns = moment_scratch(size), capacity(size)
     removed = np.empty(size, np.bool_)
-    e, g, rows = np.empty((columns, 3)), np.empty(size, np.int64), np.empty((3, columns))
-    v, a, b = rows[0], rows[1], rows[2]
+    flat, g, rows = np.empty((1, 3 * columns)), np.empty(size, np.int64), np.empty((3, columns))
+    e, v, a, b = flat.reshape((columns, 3)), rows[0], rows[1], rows[2]
     seen = np.empty(size, np.uint64)  # an unsigned index is not checked for counting from the end
     budgets = np.empty((tables.risks.shape[0], AXES))
     los, in_view, group, status = epochs.los, epochs.in_view, epochs.group, results.status
@@ -433,7 +463,7 @@ def find_levels(
             j = seen[k]
             e[k, 0], e[k, 1], e[k, 2] = los[i, j, 0], los[i, j, 1], los[i, j, 2]
             g[k], v[k], a[k], b[k] = group[i, j], variance[i, j], accuracy[i, j], bias[i, j]
-        if not _usable(n, e, g, rows):
+        if not _usable(n, flat, g, rows):
             status[i] = BAD_INPUT
             continue
         sin_h, cos_h = math.sin(epochs.heading[i]), math.cos(epochs.heading[i])

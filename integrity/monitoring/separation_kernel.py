@@ -19,7 +19,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.simd_kernel import (
+    WIDTH,
+    absolute,
+    fma,
+    load,
+    maximum,
+    padded,
+    root_of,
+    spread,
+    store,
+    total,
+)
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_upper
 from lanebound.integrity.positioning.geometry_kernel import Geometry, capacity, normal_matrix
 
@@ -32,7 +44,6 @@ __all__ = [
     "moment_scratch",
     "set_factors",
     "set_priors",
-    "side_by_side",
 ]
 
 Array = NDArray[np.float64]
@@ -44,25 +55,6 @@ LOG_2 = math.log(2.0)
 CAREFUL_BELOW = 0.05  # of 1 - h_kk: sum the separation's variance term by term, without cancellation
 
 
-TILE = 64  # entries
-SIDE = 16  # a multiple of what processors compute at once
-WORK = record(
-    lever=("f8", (3, TILE), "of satellites"),
-    clock=("f8", (TILE,), "of satellites [m^2]"),
-    group=("i8", (TILE,), "of satellites"),
-    change=("f8", (2, TILE), "of satellites"),
-    bias=("f8", (2, TILE), "of the modes that remove them [m]"),
-    z=("f8", (2, TILE), "normalised level of modes, by axis"),
-    upper=("f8", (2, TILE), "Q(z)"),
-    density=("f8", (2, TILE), "exp(-z^2/2)"),
-)
-"""Memory of loops over up to TILE modes side by side.
-
-The compiler knows that no entry depends on another, and computes several at once; the sums of an entry keep their
-order. The loops run over a multiple of SIDE entries, so that none is computed alone; the last ones are not used.
-"""
-
-
 class Modes(NamedTuple):
     """Fault modes, one column each (W); axis 0 of the matrices is AT, CT.
 
@@ -70,7 +62,7 @@ class Modes(NamedTuple):
     fault-free solution; bias (2, W) bound of its nominal bias; separation (2, W) ``x - x_i`` [m]; prior, log_prior (W,)
     fault probability; weight (W,) the prior of the modes with a solution, 0 of the others; k_fa (W,) the normalised
     separation that passes the fault test, filled by :func:`set_factors`; offset (2, W) ``K_fa sigma_d + b`` and
-    rate (2, W) ``1 / sigma``, filled by :mod:`.protection_kernel`; work (1,) of WORK.
+    rate (2, W) ``1 / sigma``, filled by :mod:`.protection_kernel`.
     """
 
     sigma: Array
@@ -83,7 +75,6 @@ class Modes(NamedTuple):
     offset: Array
     rate: Array
     k_fa: Array
-    work: Records
 
 
 class Moments(NamedTuple):
@@ -108,7 +99,7 @@ def mode_scratch(n: int, subsets: int = 0) -> Modes:
     w = capacity(n, subsets)
     return Modes(
         np.zeros((2, w)), np.zeros((2, w)), np.zeros((2, w)), np.zeros((2, w)), np.zeros(w), np.zeros(w), np.zeros(w),
-        np.zeros((2, w)), np.zeros((2, w)), np.zeros(w), np.zeros(1, WORK),
+        np.zeros((2, w)), np.zeros((2, w)), np.zeros(w),
     )  # fmt: skip
 
 
@@ -141,7 +132,7 @@ def find_modes(
     elsewhere. The separations are 0 unless ``solve`` was called. Priors are left to :func:`set_priors`.
     """
     fix = geo.fix[0]
-    _find_moments(group, accuracy, n, geo, moments)
+    _find_moments(accuracy, n, geo, moments)
     for q in range(2):
         modes.sigma[q, 0], modes.bias[q, 0], modes.delta[q, 0], modes.separation[q, 0] = (
             fix.sigma[q],
@@ -151,7 +142,7 @@ def find_modes(
         )
     _find_changes(group, n, geo, moments)
     _remove_satellites(n, geo, moments, modes)
-    _bound_biases(group, n, geo, moments, modes)
+    _bound_biases(group, n, geo, moments, modes.bias)
     for k in range(n):
         if geo.free[k] < UNSOLVABLE_BELOW and geo.clocks[group[k]].satellites > 1.0:
             _mark_unsolvable(k + 1, modes)
@@ -167,24 +158,40 @@ def find_modes(
 
 
 @jit(borrows=True, forceinline=True)
-def _find_moments(group: Ints, accuracy: Array, n: int, geo: Geometry, moments: Moments) -> None:
+def _find_moments(accuracy: Array, n: int, geo: Geometry, moments: Moments) -> None:
     """All moments but ``change`` and ``tested``, and those of the clocks."""
-    row, gain, clocks = geo.row, geo.gain, geo.clocks
-    for g in range(MAX_GROUPS):
-        c = clocks[g]
-        c.spread, c.cross_e, c.cross_n, c.cross_u = 0.0, 0.0, 0.0, 0.0
+    row, weight, bias, gain, member = geo.row, geo.weight, geo.bias, geo.gain, geo.member
+    spread_out, row_bias, gain_bias = moments.spread, moments.row_bias, moments.gain_bias
     for i in range(n):
-        w, b, c = geo.weight[i], geo.bias[i], clocks[group[i]]
-        share, wb = w * w * accuracy[i], w * b
-        moments.accuracy[i], moments.spread[i], moments.weighted_bias[i] = accuracy[i], share, wb
-        for q in range(3):
-            moments.row_bias[q, i] = wb * row[q, i]
-        for q in range(2):
-            moments.gain_bias[q, i] = gain[q, i] * b
-        c.spread += share
-        c.cross_e += 2.0 * share * row[0, i]
-        c.cross_n += 2.0 * share * row[1, i]
-        c.cross_u += 2.0 * share * row[2, i]
+        moments.accuracy[i] = accuracy[i]
+    for i in range(n, padded(n)):
+        moments.accuracy[i] = 0.0
+    for i in range(0, n, WIDTH):
+        b, w = load(bias, i), load(weight, i)
+        wb = w * b
+        store(w * w * load(moments.accuracy, i), spread_out, i)
+        store(wb, moments.weighted_bias, i)
+        store(wb * load(row, 0, i), row_bias, 0, i)
+        store(wb * load(row, 1, i), row_bias, 1, i)
+        store(wb * load(row, 2, i), row_bias, 2, i)
+        store(load(gain, 0, i) * b, gain_bias, 0, i)
+        store(load(gain, 1, i) * b, gain_bias, 1, i)
+    for g in range(MAX_GROUPS):
+        c = geo.clocks[g]
+        if c.satellites > 0.0:
+            v, ve, vn, vu = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+            for i in range(0, n, WIDTH):
+                share = load(member, g, i) * load(spread_out, i)
+                v += share
+                ve, vn, vu = (
+                    fma(share, load(row, 0, i), ve),
+                    fma(share, load(row, 1, i), vn),
+                    fma(share, load(row, 2, i), vu),
+                )
+            total_weight = 1.0 / c.variance
+            c.spread = total_weight * total(v)
+            c.cross_e, c.cross_n = 2.0 * total_weight * total(ve), 2.0 * total_weight * total(vn)
+            c.cross_u = 2.0 * total_weight * total(vu)
 
 
 @jit(borrows=True, forceinline=True)
@@ -194,35 +201,44 @@ def _find_changes(group: Ints, n: int, geo: Geometry, moments: Moments) -> None:
     A satellite alone with its clock does not move the solution: its c is 0, and so is its separation. A known height
     is one more row, whose variance is as stated.
     """
-    lever, gain, change = geo.lever, geo.gain, moments.change
+    lever, free, clocks = geo.lever, geo.free, geo.clocks
+    change, tested = moments.change, moments.tested
     ee, en, eu, nn, nu, uu = normal_matrix(geo.row, moments.spread, n)
     uu += geo.fix[0].height_weight
+    for k in range(0, n, WIDTH):
+        x, y, z, f = load(lever, 0, k), load(lever, 1, k), load(lever, 2, k), load(free, k)
+        vx, vy, vz = fma(x, ee, y * (2.0 * en)), fma(y, nn, z * (2.0 * nu)), fma(z, uu, x * (2.0 * eu))
+        square = fma(load(moments.accuracy, k), fma(f, 2.0, -1.0), fma(x, vx, fma(y, vy, z * vz)))
+        for g in range(MAX_GROUPS):
+            c = clocks[g]
+            if c.satellites > 0.0:
+                own = load(geo.member, g, k)
+                cross = fma(x, c.cross_e, fma(y, c.cross_n, fma(z, c.cross_u, own * c.spread)))
+                square = fma(own, cross, square)
+        inverse = 1.0 / f
+        store(root_of(maximum(square, 0.0)), tested, k)
+        store(load(geo.gain, 0, k) * inverse, change, 0, k)
+        store(load(geo.gain, 1, k) * inverse, change, 1, k)
     for k in range(n):
-        c, own, free = geo.clocks[group[k]], geo.clock[k], geo.free[k]
-        inverse = 1.0 / free
-        x, y, z = lever[0, k], lever[1, k], lever[2, k]
-        vx, vy, vz = x * ee + 2.0 * en * y, y * nn + 2.0 * nu * z, z * uu + 2.0 * eu * x
-        square = moments.accuracy[k] * (2.0 * free - 1.0) + x * vx + y * vy + z * vz
-        square += own * (x * c.cross_e + y * c.cross_n + z * c.cross_u + own * c.spread)
-        change[0, k], change[1, k] = gain[0, k] * inverse, gain[1, k] * inverse
-        if free < CAREFUL_BELOW:
-            if c.satellites == 1.0:
-                change[0, k], change[1, k], square = 0.0, 0.0, 0.0
+        if free[k] < CAREFUL_BELOW:
+            if clocks[group[k]].satellites == 1.0:
+                change[0, k], change[1, k], tested[k] = 0.0, 0.0, 0.0
             else:
-                square = _tested_variance(k, group, n, geo, moments)
-        moments.tested[k] = 0.0 if square < 0.0 else math.sqrt(square)
+                tested[k] = math.sqrt(_tested_variance(k, group, n, geo, moments))
 
 
 @jit(borrows=True, forceinline=True)
 def _remove_satellites(n: int, geo: Geometry, moments: Moments, modes: Modes) -> None:
     """Standard deviations and separations of the single-satellite modes."""
+    fix, change = geo.fix[0], moments.change
     for q in range(2):
-        variance = geo.fix[0].sigma[q] * geo.fix[0].sigma[q]
-        for k in range(n):
-            c = moments.change[q, k]
-            modes.sigma[q, k + 1] = math.sqrt(c * c * (geo.free[k] * geo.variance[k]) + variance)
-            modes.delta[q, k + 1] = abs(c) * moments.tested[k]
-            modes.separation[q, k + 1] = c * geo.residual[k]
+        variance = fix.sigma[q] * fix.sigma[q]
+        for k in range(0, n, WIDTH):
+            c, residual = load(change, q, k), load(geo.residual, k)
+            free, tested = load(geo.free, k) * load(geo.variance, k), load(moments.tested, k)
+            store(root_of(fma(c * c, free, variance)), modes.sigma, q, k + 1)
+            store(absolute(c) * tested, modes.delta, q, k + 1)
+            store(c * residual, modes.separation, q, k + 1)
 
 
 @jit(borrows=True)
@@ -247,40 +263,25 @@ def _mark_unsolvable(column: int, modes: Modes) -> None:
         modes.bias[q, column], modes.separation[q, column] = 0.0, 0.0
 
 
-@jit(forceinline=True)
-def side_by_side(m: int) -> int:
-    """Entries that are computed for m of them."""
-    return (m + SIDE - 1) // SIDE * SIDE
-
-
 @jit(borrows=True, forceinline=True)
-def _bound_biases(group: Ints, n: int, geo: Geometry, moments: Moments, modes: Modes) -> None:
-    """``sum_j abs([R S_k]_qj) b_j`` of every single-satellite mode, TILE modes side by side: the hot loop of this file.
+def _bound_biases(group: Ints, n: int, geo: Geometry, moments: Moments, bias: Array) -> None:
+    """``sum_j abs([R S_k]_qj) b_j`` of every single-satellite mode, one mode in each lane: the hot loop of this file.
 
     The sum runs over all satellites; the removed satellite's own term, ``abs(c_qk) b_k``, is subtracted again.
     """
-    lever, change, tile, bias = geo.lever, moments.change, modes.work[0], modes.bias
-    row_bias, gain_bias = moments.row_bias, moments.gain_bias
-    for first in range(0, n, TILE):
-        m = min(TILE, n - first)
-        for k in range(m):
-            i = first + k
-            tile.lever[0, k], tile.lever[1, k], tile.lever[2, k] = lever[0, i], lever[1, i], lever[2, i]
-            tile.clock[k], tile.group[k] = geo.clock[i], group[i]
-            for q in range(2):
-                tile.change[q, k], tile.bias[q, k] = change[q, i], 0.0
+    lever, member, change = geo.lever, geo.member, moments.change
+    weighted, row_bias, gain_bias = moments.weighted_bias, moments.row_bias, moments.gain_bias
+    for k in range(0, n, WIDTH):
+        c_at, c_ct, b = load(change, 0, k), load(change, 1, k), load(geo.bias, k)
+        x, y, z = load(lever, 0, k), load(lever, 1, k), load(lever, 2, k)
+        at, ct = spread(0.0), spread(0.0)
         for j in range(n):
-            g, own, at, ct = group[j], moments.weighted_bias[j], gain_bias[0, j], gain_bias[1, j]
-            e, north, u = row_bias[0, j], row_bias[1, j], row_bias[2, j]
-            for k in range(side_by_side(m)):
-                shared = tile.clock[k] if tile.group[k] == g else 0.0
-                level = tile.lever[0, k] * e + tile.lever[1, k] * north + tile.lever[2, k] * u + shared * own
-                tile.bias[0, k] += abs(tile.change[0, k] * level + at)
-                tile.bias[1, k] += abs(tile.change[1, k] * level + ct)
-        for k in range(m):
-            for q in range(2):
-                left = tile.bias[q, k] - abs(tile.change[q, k]) * geo.bias[first + k]
-                bias[q, first + k + 1] = 0.0 if left < 0.0 else left
+            level = load(member, group[j], k) * weighted[j]
+            level = fma(x, row_bias[0, j], fma(y, row_bias[1, j], fma(z, row_bias[2, j], level)))
+            at += absolute(fma(c_at, level, gain_bias[0, j]))
+            ct += absolute(fma(c_ct, level, gain_bias[1, j]))
+        store(maximum(at - absolute(c_at) * b, 0.0), bias, 0, k + 1)
+        store(maximum(ct - absolute(c_ct) * b, 0.0), bias, 1, k + 1)
 
 
 @jit(borrows=True)
@@ -380,7 +381,7 @@ def _replace_biases(
         level = 0.0
         for j in range(n):
             level += lever[0, k] * row_bias[0, j] + lever[1, k] * row_bias[1, j] + lever[2, k] * row_bias[2, j]
-            level += geo.clock[k] * weighted[j] if group[j] == group[k] else 0.0
+            level += geo.member[group[j], k] * weighted[j]
         if modes.sigma[0, k + 1] < np.inf:
             alone = clocks[group[k]].satellites == 1.0
             drop = 0.0 if alone else weight[k] / geo.free[k] * (bias[k] - level)

@@ -13,13 +13,14 @@ The caller allocates a :class:`Geometry` (:func:`geometry_scratch`) once and use
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.simd_kernel import WIDTH, absolute, fma, load, padded, spread, store, total
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_upper
 
 __all__ = ["CLOCK", "FIX", "MAX_GROUPS", "Geometry", "capacity", "find_geometry", "geometry_scratch", "solve"]
@@ -54,8 +55,8 @@ CLOCK = record(
     mean_n="the same, North",
     mean_u="the same, Up",
     mean_y="weighted mean of the measurements [m]",
-    spread="sum of w^2 var_acc",
-    cross_e="2 times the sum of w^2 var_acc g, East",
+    spread="W times the sum of w^2 var_acc",
+    cross_e="2 W times the sum of w^2 var_acc g, East",
     cross_n="the same, North",
     cross_u="the same, Up",
     prior="fault probability of one satellite [-]",
@@ -65,11 +66,11 @@ CLOCK = record(
 
 
 class Geometry(NamedTuple):
-    """One epoch of up to W satellites.
+    """One epoch of up to W satellites; entries n to the next multiple of WIDTH hold zeros, as sums run over vectors.
 
     fix (1,) of FIX and clocks (MAX_GROUPS,) of CLOCK; row (3, W) ``g``; weight (W,) ``w`` [1/m^2]; lever (3, W)
-    ``P g``; gain (2, W) ``S``; free (W,) ``1 - h_kk``; residual (W,) [m]; clock (W,) ``1/W_group`` [m^2]; variance,
-    bias (W,) as given.
+    ``P g``; gain (2, W) ``S``; free (W,) ``1 - h_kk``; residual (W,) [m]; clock (W,) ``1/W_group`` [m^2], and
+    member (MAX_GROUPS, W) the same for the satellites of one group, 0 elsewhere; variance, bias (W,) as given.
     """
 
     fix: Records
@@ -81,6 +82,7 @@ class Geometry(NamedTuple):
     free: Array
     residual: Array
     clock: Array
+    member: Array
     variance: Array
     bias: Array
 
@@ -88,7 +90,7 @@ class Geometry(NamedTuple):
 @jit
 def capacity(n: int, subsets: int = 0) -> int:
     """Entries that the scratch needs for n satellites, all constellation modes and ``subsets`` more."""
-    return n + 1 + MAX_GROUPS + subsets
+    return int(padded(n + 1 + MAX_GROUPS + subsets))
 
 
 @jit(forceinline=True)
@@ -97,58 +99,87 @@ def geometry_scratch(n: int, subsets: int = 0) -> Geometry:
     w = capacity(n, subsets)
     return Geometry(
         np.zeros(1, FIX), np.zeros(MAX_GROUPS, CLOCK), np.zeros((3, w)), np.zeros(w), np.zeros((3, w)),
-        np.zeros((2, w)), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w),
+        np.zeros((2, w)), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros((MAX_GROUPS, w)), np.zeros(w), np.zeros(w),
     )  # fmt: skip
 
 
 @jit(borrows=True, forceinline=True)
 def _centre(los: Array, group: Ints, n: int, geo: Geometry) -> int:
-    """Centre the design rows in each group; returns the number of groups present.
-
-    A satellite alone with its clock gives no information on the position: its design row is exactly 0.
-    """
-    row, weight, clocks = geo.row, geo.weight, geo.clocks
-    for g in range(MAX_GROUPS):
-        c = clocks[g]
-        c.satellites, c.variance, c.mean_e, c.mean_n, c.mean_u = 0.0, 0.0, 0.0, 0.0, 0.0
+    """Centre the design rows in each group; returns the number of groups present."""
+    row, member, clocks, clock = geo.row, geo.member, geo.clocks, geo.clock
+    present = 0
     for i in range(n):
-        c, w = clocks[group[i]], weight[i]
-        c.satellites += 1.0
-        c.variance += w  # the sum of the weights until all are in it
-        c.mean_e -= w * los[i, 0]
-        c.mean_n -= w * los[i, 1]
-        c.mean_u -= w * los[i, 2]
-    groups = 0
+        present |= 1 << group[i]
     for g in range(MAX_GROUPS):
-        c = clocks[g]
-        if c.satellites > 0.0:
+        clocks[g].satellites = 0.0
+        if present >> g & 1:
+            for i in range(0, n, WIDTH):
+                store(spread(0.0), member, g, i)
+    for i in range(n):
+        row[0, i], row[1, i], row[2, i] = -los[i, 0], -los[i, 1], -los[i, 2]
+        member[group[i], i] = 1.0
+    groups, lonely = 0, False
+    for g in range(MAX_GROUPS):
+        if present >> g & 1:
             groups += 1
-            c.variance = 1.0 / c.variance
-            c.mean_e, c.mean_n, c.mean_u = c.mean_e * c.variance, c.mean_n * c.variance, c.mean_u * c.variance
-    for i in range(n):
-        c = clocks[group[i]]
-        geo.clock[i] = c.variance
-        if c.satellites > 1.0:
-            row[0, i], row[1, i], row[2, i] = -los[i, 0] - c.mean_e, -los[i, 1] - c.mean_n, -los[i, 2] - c.mean_u
-        else:
-            row[0, i], row[1, i], row[2, i] = 0.0, 0.0, 0.0
+            _mean_of_group(g, n, row, geo.weight, member, clocks[g])
+            lonely |= clocks[g].satellites == 1.0
+    for i in range(0, n, WIDTH):
+        x, y, z, own = load(row, 0, i), load(row, 1, i), load(row, 2, i), spread(0.0)
+        for g in range(MAX_GROUPS):
+            c = clocks[g]
+            if c.satellites > 0.0:
+                is_member = load(member, g, i)
+                x, y, z = fma(is_member, -c.mean_e, x), fma(is_member, -c.mean_n, y), fma(is_member, -c.mean_u, z)
+                is_member *= c.variance
+                own += is_member
+                store(is_member, member, g, i)
+        store(x, row, 0, i)
+        store(y, row, 1, i)
+        store(z, row, 2, i)
+        store(own, clock, i)
+    if lonely:
+        _clear_lonely(group, n, row, clocks)
     return groups
+
+
+@jit(borrows=True)
+def _mean_of_group(g: int, n: int, row: Array, weight: Array, member: Array, clock: Any) -> None:
+    """Count, clock variance and mean design row of group g, whose satellites have 1 in row g of ``member``."""
+    count, w, e, north, up = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for i in range(0, n, WIDTH):
+        is_member = load(member, g, i)
+        share = is_member * load(weight, i)
+        count, w = count + is_member, w + share
+        e, north, up = (
+            fma(share, load(row, 0, i), e),
+            fma(share, load(row, 1, i), north),
+            fma(share, load(row, 2, i), up),
+        )
+    inverse = 1.0 / total(w)
+    clock.satellites, clock.variance = total(count), inverse
+    clock.mean_e, clock.mean_n, clock.mean_u = total(e) * inverse, total(north) * inverse, total(up) * inverse
+
+
+@jit(borrows=True)
+def _clear_lonely(group: Ints, n: int, row: Array, clocks: Records) -> None:
+    """A satellite alone with its clock gives no information on the position: its design row is exactly 0."""
+    for i in range(n):
+        if clocks[group[i]].satellites == 1.0:
+            row[0, i], row[1, i], row[2, i] = 0.0, 0.0, 0.0
 
 
 @jit(borrows=True)
 def normal_matrix(row: Array, weight: Array, n: int) -> tuple[float, float, float, float, float, float]:
     """Upper triangle of ``sum weight g g'``.  row (3, W), weight (W,)."""
-    a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(n):
-        x, y, z, w = row[0, i], row[1, i], row[2, i], weight[i]
+    a, b, c = spread(0.0), spread(0.0), spread(0.0)
+    d, e, f = spread(0.0), spread(0.0), spread(0.0)
+    for i in range(0, n, WIDTH):
+        x, y, z, w = load(row, 0, i), load(row, 1, i), load(row, 2, i), load(weight, i)
         wx, wy, wz = w * x, w * y, w * z
-        a += wx * x
-        b += wx * y
-        c += wx * z
-        d += wy * y
-        e += wy * z
-        f += wz * z
-    return a, b, c, d, e, f
+        a, b, c = fma(wx, x, a), fma(wx, y, b), fma(wx, z, c)
+        d, e, f = fma(wy, y, d), fma(wy, z, e), fma(wz, z, f)
+    return total(a), total(b), total(c), total(d), total(e), total(f)
 
 
 @jit(borrows=True)
@@ -173,7 +204,13 @@ def find_geometry(
     fix, row, weight = geo.fix[0], geo.row, geo.weight
     for i in range(n):
         geo.variance[i], geo.bias[i] = variance[i], bias[i]
-        weight[i], geo.residual[i] = 1.0 / variance[i], 0.0
+    for i in range(n, padded(n)):
+        geo.variance[i], geo.bias[i], row[0, i], row[1, i], row[2, i] = np.inf, 0.0, 0.0, 0.0, 0.0
+    for i in range(0, n, WIDTH):
+        store(1.0 / load(geo.variance, i), weight, i)
+        store(spread(0.0), geo.residual, i)
+    for i in range(n, padded(n)):
+        geo.variance[i] = 0.0
     groups = _centre(los, group, n, geo)
     fix.p_ee, fix.p_en, fix.p_eu, fix.p_nn, fix.p_nu, fix.p_uu = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     fix.sigma[0], fix.sigma[1], fix.bias[0], fix.bias[1] = np.inf, np.inf, 0.0, 0.0
@@ -195,17 +232,22 @@ def _find_gains(n: int, sin_h: float, cos_h: float, geo: Geometry) -> None:
     """Levers, gains, ``1 - h``, and the fault-free standard deviations and bias bounds."""
     fix, row, lever, gain = geo.fix[0], geo.row, geo.lever, geo.gain
     ee, en, eu, nn, nu, uu = fix.p_ee, fix.p_en, fix.p_eu, fix.p_nn, fix.p_nu, fix.p_uu
-    b_at, b_ct = 0.0, 0.0
-    for i in range(n):
-        x, y, z, w = row[0, i], row[1, i], row[2, i], geo.weight[i]
-        hx, hy, hz = x * ee + y * en + z * eu, x * en + y * nn + z * nu, x * eu + y * nu + z * uu
+    b_at, b_ct = spread(0.0), spread(0.0)
+    for i in range(0, n, WIDTH):
+        x, y, z, w = load(row, 0, i), load(row, 1, i), load(row, 2, i), load(geo.weight, i)
+        hx = fma(z, eu, fma(y, en, x * ee))
+        hy = fma(z, nu, fma(y, nn, x * en))
+        hz = fma(z, uu, fma(y, nu, x * eu))
         s_at, s_ct = w * (hx * sin_h + hy * cos_h), w * (hx * cos_h - hy * sin_h)
-        lever[0, i], lever[1, i], lever[2, i] = hx, hy, hz
-        gain[0, i], gain[1, i] = s_at, s_ct
-        geo.free[i] = 1.0 - w * (hx * x + hy * y + hz * z + geo.clock[i])
-        b_at += abs(s_at) * geo.bias[i]
-        b_ct += abs(s_ct) * geo.bias[i]
-    fix.bias[0], fix.bias[1] = b_at, b_ct
+        store(hx, lever, 0, i)
+        store(hy, lever, 1, i)
+        store(hz, lever, 2, i)
+        store(s_at, gain, 0, i)
+        store(s_ct, gain, 1, i)
+        store(1.0 - w * fma(hx, x, fma(hy, y, fma(hz, z, load(geo.clock, i)))), geo.free, i)
+        b_at = fma(absolute(s_at), load(geo.bias, i), b_at)
+        b_ct = fma(absolute(s_ct), load(geo.bias, i), b_ct)
+    fix.bias[0], fix.bias[1] = total(b_at), total(b_ct)
     fix.sigma[0] = math.sqrt(sin_h * sin_h * ee + 2.0 * sin_h * cos_h * en + cos_h * cos_h * nn)
     fix.sigma[1] = math.sqrt(cos_h * cos_h * ee - 2.0 * sin_h * cos_h * en + sin_h * sin_h * nn)
 
@@ -225,18 +267,20 @@ def solve(y: Array, group: Ints, n: int, geo: Geometry) -> float:
         c.mean_y += weight[i] * c.variance * y[i]
     for i in range(n):
         residual[i] = y[i] - clocks[group[i]].mean_y
+    x, yy, z = spread(0.0), spread(0.0), spread(0.0)
+    for i in range(0, n, WIDTH):
+        weighted = load(weight, i) * load(residual, i)
+        x, yy = fma(weighted, load(lever, 0, i), x), fma(weighted, load(lever, 1, i), yy)
+        z = fma(weighted, load(lever, 2, i), z)
+    east, north, up = total(x), total(yy), total(z)
     pull = fix.height_weight * fix.height
-    east, north, up = pull * fix.p_eu, pull * fix.p_nu, pull * fix.p_uu
-    for i in range(n):
-        weighted = weight[i] * residual[i]
-        east += weighted * lever[0, i]
-        north += weighted * lever[1, i]
-        up += weighted * lever[2, i]
-    squares = fix.height_weight * (up - fix.height) ** 2
-    for i in range(n):
-        r = residual[i] - (row[0, i] * east + row[1, i] * north + row[2, i] * up)
-        residual[i] = r
-        squares += weight[i] * r * r
+    east, north, up = east + pull * fix.p_eu, north + pull * fix.p_nu, up + pull * fix.p_uu
+    squares = spread(0.0)
+    for i in range(0, n, WIDTH):
+        explained = fma(load(row, 0, i), east, fma(load(row, 1, i), north, load(row, 2, i) * up))
+        r = load(residual, i) - explained
+        store(r, residual, i)
+        squares = fma(load(weight, i) * r, r, squares)
     fix.position[0], fix.position[1], fix.position[2] = east, north, up
-    fix.chi2 = squares
-    return float(squares)
+    fix.chi2 = total(squares) + fix.height_weight * (up - fix.height) ** 2
+    return float(fix.chi2)
