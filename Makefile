@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 LAYERS := integrity envs agents configs
 
 .DEFAULT_GOAL := help
-.PHONY: help dev demo test test-slow check format coverage bench pages wheel release clean
+.PHONY: help dev demo test test-slow check format coverage bench pages wheel kernels release clean
 
 help: ## Say what each target does
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -62,6 +62,9 @@ pages: $(STAMP) ## Mark the pages of results that were made with earlier default
 
 wheel: $(STAMP) ## Build the wheel into dist/ and test it alone in new environments
 	.ci/wheel
+
+kernels: $(STAMP) ## Build a wheel with compiled kernels, for Linux on x86-64, into dist/ and test it
+	.ci/kernels
 
 release: $(STAMP) ## Test everything, build the wheel and tag the version of pyproject.toml
 	.ci/release

@@ -7,6 +7,9 @@ therefore have a directory whose name contains a digest of that file and of all 
 
 The cache contains machine code. Below the temporary directory, which all users share, a directory is used only if it is
 private to the user. Without a writable directory the kernels are compiled in each process.
+
+A wheel for one platform contains compiled kernels (``.ci/kernels``). Their directories have the same names and are
+copied to the cache instead of being compiled there, where the processor is one of those they are compiled for.
 """
 
 from __future__ import annotations
@@ -25,14 +28,19 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
+import llvmlite.binding
 import numba
 from numba.core.caching import UserProvidedCacheLocator
 
-__all__ = ["KernelLocator", "cache_directory", "cache_root", "locating", "sources_of"]
+__all__ = ["PORTABLE", "KernelLocator", "cache_directory", "cache_root", "locating", "sources_of", "takes_shipped"]
 
 PACKAGE = "lanebound"
 LAYERS = "integrity", "envs", "agents"
 UNUSED_S = 30 * 86400.0
+SHIPPED = Path(__file__).parents[1] / "compiled"
+PORTABLE = "x86_64-unknown-linux-gnu", "x86-64-v3", ""
+"""Platform, processor and further features of the shipped kernels, as Numba names them."""
+PORTABLE_NEEDS = frozenset({"avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"})  # x86-64 psABI, table 3.1
 NAMED_TUPLE = re.compile(rb"^class \w+\(NamedTuple\):\n(?:(?:[ \t].*)?\n)+", re.MULTILINE)
 IMPORT = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]+)", re.MULTILINE)
 
@@ -75,11 +83,32 @@ def cache_directory(source: Path, options: str = "") -> str | None:
     try:
         if not path.exists():
             _remove_unused(root)
+            _take_shipped(path)
         path.mkdir(exist_ok=True)
         os.utime(path)
     except OSError:
         return None
     return str(path)
+
+
+@cache
+def takes_shipped() -> bool:
+    """Whether kernels are shipped that this processor runs; not where Numba is told to compile for another one."""
+    if not SHIPPED.is_dir() or numba.config.CPU_NAME is not None:  # type: ignore[attr-defined]
+        return False
+    there = llvmlite.binding.get_host_cpu_features()
+    return all(there.get(name, False) for name in PORTABLE_NEEDS)
+
+
+def _take_shipped(path: Path) -> None:
+    """Fill a new directory of the cache with the shipped kernels of its name, at once for other processes."""
+    shipped, ours = SHIPPED / path.name, path.with_name(f"{path.name}.{os.getpid()}")
+    if takes_shipped() and shipped.is_dir():
+        shutil.copytree(shipped, ours)
+        try:
+            ours.rename(path)
+        except OSError:  # another process was first
+            shutil.rmtree(ours, ignore_errors=True)
 
 
 @cache

@@ -30,6 +30,8 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.extending import lower_cast
 
+from lanebound.integrity.core.kernel_cache import PORTABLE, takes_shipped
+
 __all__ = ["Kernel", "kernel_of"]
 
 INNER, OUTER = "inner", "outer"  # forms in the cache: without and with the Python wrapper
@@ -163,22 +165,27 @@ class _KernelCache(FunctionCache):
     def __init__(self, kernel: Kernel) -> None:
         super().__init__(kernel.py_func)
         self._kernel, self._saved_form = kernel, ""
+        self._machine: tuple[str, str, str] | None = None  # for which a form is compiled; None for this one
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The result for a signature, with the wrapper where only that form is cached; None if it must be compiled."""
+        """The result for a signature, with the wrapper where only that form is cached; None if it must be compiled.
+
+        What this machine compiled comes before what a wheel shipped.
+        """
         forms = (INNER, OUTER) if self._kernel._is_inner else (OUTER,)
-        for form in forms:
-            self._saved_form = form
-            if (found := super().load_overload(sig, target_context)) is not None:
-                return found
+        for self._machine in (None, PORTABLE) if takes_shipped() else (None,):
+            for self._saved_form in forms:
+                if (found := super().load_overload(sig, target_context)) is not None:
+                    return found
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Save a result in its form."""
-        self._saved_form = INNER if self._kernel._is_inner else OUTER
+        self._saved_form, self._machine = INNER if self._kernel._is_inner else OUTER, None
         file = self._cache_file
         file._data_name_pattern = f"{self._impl.filename_base}-{os.getpid()}.{{number:d}}.nbc"
         super().save_overload(sig, data)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        return (*super()._index_key(sig, codegen), self._saved_form)
+        signature, machine, *code = super()._index_key(sig, codegen)
+        return (signature, self._machine or machine, *code, self._saved_form)
