@@ -35,7 +35,7 @@ __all__ = ["BeliefLoop", "WorldStep"]
 
 Array = NDArray[np.float64]
 ROW = np.zeros(1, dtype=np.int64)
-ROUTE_M = 2.0  # half a lane of highway-env's: by so much a lane of the route may be further off than another
+ROUTE_M = 2.0  # half a lane of highway-env: a lane of the route is preferred unless another is this much nearer
 
 
 class WorldStep(NamedTuple):
@@ -66,6 +66,8 @@ class BeliefLoop:
         self._onward: dict[tuple[LaneIndex, tuple[Any, ...]], int] = {}
         ego = world.vehicle
         self.believed = BelievedVehicle.of(ego, self._perceived_road())
+        # From here highway-env calls back: World.step runs self.simulate in place of its own _simulate; Road.act and
+        # Road.step move the ego by DirectEgo or MetaEgo, by which its class is replaced.
         take_over(ego, self)
         world._simulate = self.simulate
         wander = Wander(config.wander, context.seed, self.step_s)
@@ -148,7 +150,7 @@ class BeliefLoop:
         self._steps += 1
 
     def sense(self) -> None:
-        """Take the true poses of the vehicles; an epoch that ends is measured."""
+        """Take the true poses of the vehicles. Between epochs, extrapolate the belief; where one ends, measure it."""
         self.seats.follow((self._steps - 1) % self.steps_per_epoch)
         self.seats.read(full=self._ends_epoch)
         self.episodes.carry_on(ROW, self._ends_epoch)

@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 class FastRoadNetwork(RoadNetwork):  # type: ignore[misc]
     """A road network over the lanes of another one, with a faster search for the closest lane.
 
-    Distances are computed in an order of operations of its own; where two lanes are as near but for rounding, and on
-    networks with lanes that are known by samples, the network's own search decides. So the answer is always the same.
+    Distances are computed in another order of operations. Where two lanes are equally near within rounding, and on
+    networks with sampled lanes, the network's own search decides, so that the answer is always the same.
     """
 
     def __init__(self, network: RoadNetwork, table: LaneTable) -> None:

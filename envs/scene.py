@@ -34,7 +34,7 @@ __all__ = ["MAP_SHARE", "EpisodeContext", "alert_limits_m", "begin_all", "durati
 
 ENDLESS_S = 300.0  # of sky for worlds that set no duration
 MARGIN_S = 60.0  # of sky beyond what an episode is expected to last
-MAP_SHARE = 0.1  # of the integrity risk, for the map: of both, its Gaussian level pays less for a small share
+MAP_SHARE = 0.1  # of the integrity risk, for the map, whose Gaussian bound a small share widens least
 
 
 def map_bound_m(config: EnvConfig, navigator: NavigatorConfig) -> float:

@@ -121,7 +121,7 @@ def run_plan(
         budget_h=budget_h,
     )
     with locked(plan.folder):
-        for _, outcome in driven:
+        for _, outcome in driven:  # the generator drives the episodes here, under the lock
             counter.progress.failed += outcome.failed
     results = Results.load(plan.folder)
     results.save(plan.folder)

@@ -184,7 +184,7 @@ class Pool:
                 ready = wait([worker.pipe for worker in self._busy], timeout=POLL_S)
                 polled()
                 for worker in [worker for worker in self._busy if worker.pipe in ready or worker.late]:
-                    yield worker.part, worker.result()
+                    yield worker.part, worker.result()  # in this order: result() clears the part
         finally:
             for worker in self._workers:
                 worker.kill()

@@ -122,9 +122,9 @@ def _plan(suite: SuiteConfig, out: Path, fresh: bool) -> tuple[BenchmarkPlan, bo
     """The plan of a suite, and whether kernels must be compiled for it."""
     from lanebound.agents.benchmark.work import BenchmarkPlan
     from lanebound.integrity.core.accel import kernels_are_cached
-    from lanebound.integrity.navigators.rtk_reckoning import report_kernel  # the last stage of an epoch
+    from lanebound.integrity.navigators.rtk_reckoning import epoch_kernel  # compiled after its stages
 
-    cold = not kernels_are_cached(report_kernel.__file__)
+    cold = not kernels_are_cached(epoch_kernel.__file__)
     return BenchmarkPlan.of(suite, out, fresh), cold
 
 

@@ -178,7 +178,7 @@ def write_report(
 
 
 def render(results: Results, clips: int = 0, on_clip: Callable[[int, int], None] = lambda done, of: None) -> str:
-    """The page as text."""
+    """The page as text; its worst episodes are driven again and filmed, but for films of ``clips/`` in the folder."""
     actors = actors_of(results.suite)
     places = _places(results)
     page = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)

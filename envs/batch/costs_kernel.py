@@ -11,8 +11,8 @@ an episode's cost as it is.
 ``cost_lane_integrity``  ``max(0, |d_est| + PL_CT + W / 2 - w / 2) v dt`` of the belief, at most 2 m, also without
 PL_CT; about the outer edges of both lanes during a change; 0 without a lane to keep (``keep_lane`` off).
 ``cost_headway``  ``max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt``, at most dt; a missing level counts as 40 m.
-No less than ``max(0, 1 - gap / d_RSS) dt`` in TRUTH, and dt while a vehicle is that near and none perceived ahead. To
-lose sight of a leader, or its level, saves nothing, and to be alone costs nothing.
+No less than ``max(0, 1 - gap / d_RSS) dt`` in TRUTH, and dt while a vehicle is that near and none perceived ahead.
+So a leader that is not perceived, or has no level, does not lower the cost. Without a leader it is 0.
 ``cost_conflict``  ``max(0, 1 - T2 / 1.5 s)`` at the peak of a conflict with vehicles whose courses cross the car's, in
 TRUTH; T2: time until the second one is where the first one is or just was (:mod:`.conflict_kernel`).
 ``cost_alert``  dt while an alert is older than the TTA and the car drives faster than permitted or changes lane.

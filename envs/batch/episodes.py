@@ -79,7 +79,7 @@ class Episodes:
     ego : (N,) EGO
     sky : (N, 3 D) satellites predicted ahead, negative for unknown
     frame : (N, E) float32, the newest observations
-    epoch_steps : simulation steps in an epoch; None where all steps are alike: nothing is sensed, no position is off
+    epoch_steps : simulation steps in an epoch; None with perfect positions and without sensing: there are no epochs
     """
 
     def __init__(

@@ -36,7 +36,7 @@ def carry_on(ego, cars, motions, lanes, rules, ends_epoch):  # type: ignore[no-u
     elif not ends_epoch:
         coast(ego.track, rules.step_s)
         settle(ego.track, ego.belief, lanes, rules.step_s, rules)
-    if motions.shape[0] > 0 and not ends_epoch:
+    if motions.shape[0] > 0 and not ends_epoch:  # else end_epoch follows them
         follow_motion(cars, motions)
 
 

@@ -156,7 +156,7 @@ def _judge(b, sc, car, facts, against, limit, rules, out):  # type: ignore[no-un
 
 @jit(inline=True)
 def _repeat(b, speed, rules, out):  # type: ignore[no-untyped-def]
-    """What infos repeat of the belief, and the true speed."""
+    """Copy levels, limits, alert and mode of the belief, and the true speed, into the info."""
     tta = rules.costs.time_to_alert_s
     out.tta_s = max(tta - b.alert_age_s, 0.0) if b.alert != 0 else tta
     out.pl_at_m, out.pl_ct_m, out.al_at_m, out.al_ct_m = b.pl_at_m, b.pl_ct_m, b.al_at_m, b.al_ct_m

@@ -8,8 +8,8 @@ Letters: ``p`` position error in E and N; ``L n`` error of the Doppler velocity 
 n and m Gauss-Markov processes of variance 1, n with a white part w beside it; ``x = [d, b, c]`` errors of the heading
 filter (:mod:`lanebound.integrity.positioning.heading_kernel`), whose own covariance the filter holds. The covariance of
 p and x is carried along: an error of the gyro's scale adds up over a circle, and a turn there and back cancels it. It
-belongs to Gauss-Markov errors, the filter's own covariance to their white bound: that both together bound the position
-is shown by simulation, not proven. Only RTK resets the growth (:func:`reset`).
+assumes Gauss-Markov errors, the covariance of the filter a white bound of them: simulations show that both together
+bound the position; a proof is missing. Only RTK resets the growth (:func:`reset`).
 
 A heading that is wrong by ``e`` also shortens the path, by ``V dt (1 - cos e)``: of second order, and of one sign. Of
 ``e`` within ``K sigma + B`` it is at most ``(K sigma + B)^2 / 2`` of the path, and at most twice the path

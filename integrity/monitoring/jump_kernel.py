@@ -17,8 +17,8 @@ returns to the backup solution. What follows a contradiction:
 3. The same follows when Doppler and odometer contradict each other while RTK continues: one of them is wrong, and RTK
    may be wrong together with Doppler. It follows, too, when RTK drifts away from the path by gyro and odometer
    (:mod:`lanebound.integrity.positioning.drift_watch_kernel`). Either RTK drifts or gyro and odometer are wrong by as
-   much in a second: the levels also cover the misfit of the window that showed it, and what gyro and odometer then add
-   at that rate, or at the larger one at which RTK leaves the position since. The quarantine is the short one where the
+   much in a second: the levels also cover the misfit of the window that showed it. They grow by the drift rate found,
+   or by the present rate between RTK and the position if that is larger. The quarantine is the short one where the
    odometer explains the drift within its declared scale and Doppler agrees with RTK.
 4. In all these cases the position continues with the remaining sensors, under an alert, and the levels cover both
    histories: that of dead reckoning, which grows, and that of RTK at the difference ``D``.

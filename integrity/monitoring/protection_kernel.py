@@ -277,7 +277,7 @@ def _roots(budget_at: float, budget_ct: float, count: int, modes: Modes, out: Ar
 
 @jit
 def _remaining(budget: float, sigma: float, lost: float, tolerate: bool) -> float:
-    """What of an axis' budget remains for the modes with a solution; 0 when no level can meet it."""
+    """Risk budget of an axis less that of the modes without a solution; 0 when no level can meet it."""
     left = budget - (lost if tolerate else 0.0)
     hopeless = left <= 0.0 or (lost > 0.0 and not tolerate) or not sigma < np.inf
     return 0.0 if hopeless else left

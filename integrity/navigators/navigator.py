@@ -139,7 +139,7 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
 
     @property
     def told_sigma_m(self) -> float:
-        """1-sigma of a position that a vehicle is told at its start, where nothing else is set [m]; chosen."""
+        """1 sigma of the prior position at the start, where nothing else is set [m]; chosen."""
         return TOLD_SIGMA_M
 
     @property
@@ -336,7 +336,7 @@ class Navigator:
     def use_map(self, road_map: RoadMap, one_in: int = 1) -> None:
         """Give the context monitor its road network, before the first epoch; without ``context`` nothing happens.
 
-        ``one_in``: only every so manieth vehicle is monitored, beginning with the first.
+        ``one_in``: only every ``one_in``-th vehicle is monitored, beginning with the first.
         """
         if self.config.context is not None:
             self._guard = ContextGuard(self.config.context, road_map, self.config.dt_s, one_in, self.radial_levels)
@@ -512,5 +512,6 @@ def _hand_over(mine: Any, other: Any, rows: Rows, theirs: Rows) -> None:
 
 @lru_cache(maxsize=8)
 def _no_effects(batch: int, satellites: int) -> FaultEffects:
-    """No fault at all, in arrays that are never written but not marked so: kernels would be compiled twice."""
+    """No fault at all, in shared arrays. Do not write them: they are not read-only, for which kernels would be compiled
+    again."""
     return FaultEffects.blank(batch, satellites)

@@ -5,7 +5,7 @@ errors and the differential atmosphere are the same for all. That the rays to tw
 the air is left out; a decorrelation of ``iono_ppm`` of it is half a millimetre.
 
 Each navigator keeps its area itself. Two of them agree bit for bit when their areas have the same seed, figures and
-satellites, for an area advances with the clock, epoch by epoch from zero, whoever asks and from when on.
+satellites, because an area always advances from epoch 0 of the clock, whenever it is first read.
 """
 
 from __future__ import annotations
@@ -85,9 +85,9 @@ def initial_area(
 def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, time_s: float, dt_s: float) -> None:
     """Bring the areas to the epoch that ends at ``time_s`` of the clock, in place; never back.
 
-    Ionosphere, satellites' clocks, troposphere and the station's multipath last for minutes: one of them advances in
-    each epoch, by as many epochs as there are of them. The station's noise is new with each of its messages, which a
-    receiver holds until it receives another (:mod:`.corrections`).
+    Ionosphere, satellites' clocks, troposphere and the station's multipath last for minutes: each epoch advances one of
+    these processes in turn, by as many epochs as there are processes. The station's noise is new with each of its
+    messages, which a receiver holds until it receives another (:mod:`.corrections`).
     """
     epoch, network, streams = round(time_s / dt_s), state.network, state.streams
     rules, link_rules = area_parameters(config, dt_s), link_parameters(link, dt_s)

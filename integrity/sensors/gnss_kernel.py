@@ -297,7 +297,7 @@ def noise_power(slant, level):  # type: ignore[no-untyped-def]
 
 @jit
 def own_part(sigma, station, power, clear):  # type: ignore[no-untyped-def]
-    """The receiver's part of a single difference of ``sigma``, whose other part is the station's, in the clear."""
+    """1 sigma of the receiver alone, ``sqrt(sigma^2 power - station^2 clear)``, of a single difference's ``sigma``."""
     return math.sqrt(sigma * sigma * power - station * station * clear)
 
 

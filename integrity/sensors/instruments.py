@@ -41,7 +41,7 @@ from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
 __all__ = ["InstrumentState", "Instruments", "Measurements", "observed"]
 
-NO_GENERATORS = np.empty((len(kernel.DRAWN_STREAMS), 0, 4), np.uint64)  # of streams that draw in a way of their own
+NO_GENERATORS = np.empty((len(kernel.DRAWN_STREAMS), 0, 4), np.uint64)  # not draws_by_row
 NOT_DRAWN, NO_ERROR = np.empty((0, 0)), np.zeros(1, np.int64)
 LOWEST_SINE = 0.05  # of an elevation: lower satellites are not used
 SENSE_US = 6.0  # of one thread for a vehicle and epoch, measured
@@ -217,7 +217,7 @@ class Instruments:
         return draws
 
     def _draw(self, streams: Streams, drawn: NDArray[np.float64], satellites: int) -> None:
-        """Fill the draws (B, W) from streams that draw in a way of their own."""
+        """Fill the draws (B, W) from streams that do not give one generator a vehicle (not ``draws_by_row``)."""
         width, batch = kernel.OF_SATELLITE, len(drawn)
         normals, uniforms, near, rest = np.split(drawn, satellites * np.cumsum(width), axis=1)
         own = rest.view(kernel.VEHICLE_DRAWS)[:, 0]

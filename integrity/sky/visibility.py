@@ -43,7 +43,7 @@ RAY_HZ = 1575.42e6  # of the first band: which reflections are the strongest
 class SignalPath(IntEnum):
     """Propagation path of a satellite signal to the antenna.
 
-    Masks contain the first four. A receiver with ``propagation: paths`` finds the last two from faces and edges.
+    Masks contain the first four. The receiver model finds the last two from faces and edges.
     """
 
     LOS = 0

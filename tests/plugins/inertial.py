@@ -25,7 +25,7 @@ def advance(first: int, last: int, epoch: Any, own: Any) -> None:
     for v in range(first, last):
         vehicle, w, observed = epoch.vehicles[v], epoch.work[v], epoch.observed[v]
         mine, gained = own.state[v], observed.delta_v[0]
-        if w.measured:
+        if w.doppler_moves:
             mine.speed, mine.age = math.copysign(w.v_gnss, observed.speed), 0.0
             mine.bound = SIGMAS * math.sqrt(w.q[0, 0] + w.q[1, 1]) + par.doppler.bias
         else:

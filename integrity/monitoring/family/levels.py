@@ -66,7 +66,7 @@ def noncentralities(df: Ints, false_alarm: float, risks: Array) -> Array:
 
 
 def normal_factor(risk: Array) -> Array:
-    """``sqrt(-2 ln risk)``: a plane error of N(0, C) is beyond it times the largest deviation at most so often."""
+    """``sqrt(-2 ln risk)``: a plane error of N(0, C) exceeds it times the largest deviation with at most ``risk``."""
     return np.asarray(np.sqrt(-2.0 * np.log(risk)))
 
 
@@ -201,7 +201,7 @@ OWN_LEVELS: dict[str, Level] = {}
 
 
 def own(work: LevelWork) -> Array:
-    """The level of a registered monitor."""
+    """The level of a registered monitor, which ``register_monitor`` put into ``OWN_LEVELS`` under its name."""
     return np.asarray(OWN_LEVELS[work.config.own_level](work), dtype=np.float64)
 
 

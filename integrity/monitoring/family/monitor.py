@@ -62,8 +62,8 @@ def watch(
 ) -> MonitorVerdicts:
     """Verdicts of a monitor on epochs at one or more risks.
 
-    A level is that of its own risk, whatever other risks are asked for. Only the codes that odds leave out, and with
-    them the one position, are those of the smallest risk; and ``road`` raises its alarm where no risk has a level.
+    Each level depends on its own risk only. There are two exceptions: the codes that odds leave out, and the position
+    without them, are those of the smallest risk; ``road`` raises its alarm only where no risk has a level.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def _test(
     """Alarms (E,), and the probability of a false one (E,) at each epoch.
 
     Robust weights raise deviations where residuals are large. Separations are tested with the raised deviations, which
-    the level adds, and with the ``declared`` ones, by which a false alarm has its probability.
+    the level adds, and with the ``declared`` ones, for which ``false_alarm`` holds.
     """
     if config.level is LevelKind.ROAD:
         limit, chance = fixed_level_false_alarm(fit, config.hal_m, risks)

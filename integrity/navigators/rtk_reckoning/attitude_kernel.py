@@ -32,7 +32,7 @@ from lanebound.integrity.positioning.heading_kernel import (
 from lanebound.integrity.positioning.mode_kernel import doppler_usable, speed_dilution
 from lanebound.integrity.positioning.odometer_watch_kernel import STANDING_MPS, turning_at_rest
 
-__all__ = ["find_attitude"]
+__all__ = ["admit_doppler", "find_attitude"]
 
 MOVING_MPS = 0.5  # slower, the side slip is not known
 REST_S = 0.5  # without motion, until the vehicle is at rest
@@ -69,12 +69,20 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
         step.phi_doppler, step.phi_odometer = par.doppler.decay, math.exp(-par.dt / par.odometer.tau)
         step.white_doppler = par.doppler.white
         correlate(par.doppler.decay, par.doppler.white, heading, step.turn)
+
+
+@jit
+def admit_doppler(first: int, last: int, epoch: Epoch) -> None:
+    """Whether the Doppler velocity may move the position: tested, of good geometry, and with a heading not in doubt."""
+    par = epoch.parameters[0]
+    for v in range(first, last):
+        vehicle, w, speed = epoch.vehicles[v], epoch.work[v], epoch.observed[v].speed
         w.sdop = math.inf
         if w.solved:
             w.sdop = speed_dilution(w.v_e, w.v_n, w.sin_h, w.cos_h, w.q, par.doppler.sigma)
-        w.measured = doppler_usable(w.checked, w.v_gnss, speed, w.hdop_doppler, par.modes)
-        w.measured = w.measured and w.sdop <= par.modes.doppler_max_sdop
-        w.measured = w.measured and (par.risk.published or not vehicle.doubt.refuses)
+        w.doppler_moves = doppler_usable(w.checked, w.v_gnss, speed, w.hdop_doppler, par.modes)
+        w.doppler_moves = w.doppler_moves and w.sdop <= par.modes.doppler_max_sdop
+        w.doppler_moves = w.doppler_moves and (par.risk.published or not vehicle.doubt.refuses)
 
 
 @jit

@@ -30,7 +30,7 @@ class RtkReckoningConfig(NavigatorConfig):
     modes: tuple[str, ...] = Field(
         ("doppler", "imu_odometer"), description="positioning modes between RTK positions, in order of preference"
     )
-    stages: tuple[str, ...] = Field((), description="stages from outside, in addition to those of the package")
+    stages: tuple[str, ...] = Field((), description="plug-in stages, in addition to those of the package")
     service: tuple[str, ...] = Field(
         ("rtk",),
         min_length=1,

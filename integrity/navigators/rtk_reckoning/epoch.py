@@ -29,7 +29,10 @@ MODES = "modes"
 
 
 NOT_PLAIN = {"floats", "drift", "wrong integers"}
-"""Parts that :func:`~.epoch_kernel.locate` does without: they are for configurations and faults that ask for them."""
+"""Stages that :func:`~.epoch_kernel.locate` leaves out; they run only if a configuration or a fault needs them."""
+
+OF_CARRIERS = {"carriers", "floats", "integers", "wrong integers", "fix"}
+"""Stages that are left out where no service uses carrier phases."""
 
 
 class Listed(NamedTuple):
@@ -47,12 +50,13 @@ STAGES: tuple[Listed | Point | str, ...] = (
     Point.MEASURED,
     Listed("velocity", "estimator", "range rates", "velocity, faults.now", kernels.find_velocity),
     Point.VELOCITY,
-    Listed("heading", "estimator", "gyro, velocity, odometer", "heading, step, measured", kernels.find_attitude),
-    Listed("carriers", "rtk", "phases, lock, C/N0", "marks, ambiguities.held", kernels.follow_carriers),
-    Listed("floats", "rtk, sequential", "codes, phases", "filters", add_to_filter),
-    Listed("integers", "rtk", "codes, phases, filters", "ambiguities, fixed.status", kernels.resolve_integers),
-    Listed("wrong integers", "rtk, fault", "next_best", "integer_error", make_integers_wrong),
-    Listed("fix", "rtk", "held phases", "fixed, fixed_levels", kernels.find_fixed_position),
+    Listed("heading", "estimator", "gyro, velocity, odometer", "heading, step", kernels.find_attitude),
+    Listed("admission", "monitor", "velocity, heading", "doppler_moves", kernels.admit_doppler),
+    Listed("carriers", "estimator", "phases, lock, C/N0", "marks, ambiguities.held", kernels.follow_carriers),
+    Listed("floats", "estimator", "codes, phases", "filters", add_to_filter),
+    Listed("integers", "estimator", "codes, phases, filters", "ambiguities, fixed.status", kernels.resolve_integers),
+    Listed("wrong integers", "fault", "next_best", "integer_error", make_integers_wrong),
+    Listed("fix", "estimator, bound", "held phases", "fixed, fixed_levels", kernels.find_fixed_position),
     Point.FIX,
     Point.ESTIMATED,
     MODES,
@@ -61,7 +65,7 @@ STAGES: tuple[Listed | Point | str, ...] = (
     Listed("odometer", "monitor", "speed, accelerations, velocity", "watch, unbounded", kernels.watch_speeds),
     Listed("histories", "monitor", "position, both headings", "doubt", kernels.follow_histories),
     Point.MOVED,
-    Listed("levels", "bound", "growth, faults, starts", "levels", kernels.find_levels),
+    Listed("reckoned levels", "bound", "growth, faults, starts", "levels", kernels.find_reckoned_levels),
     Point.OFFERED,
     Listed("drift", "monitor", "fixed, path", "drift, anchors, jump", watch_drift),
     Listed("jump", "monitor", "fixed, levels, backup", "accepted", kernels.judge_fix),
@@ -79,7 +83,7 @@ STAGES: tuple[Listed | Point | str, ...] = (
 class EpochStages:
     """The stages of a configuration, as callables ``stages(first, last, epoch, states)``; states (B,) by name.
 
-    The plain configuration is one compiled function. With services, with modes or stages from outside, with a drift
+    The plain configuration is one compiled function. With services, with plug-in modes or stages, with a drift
     watch or a filter of float ambiguities, the stages are called one after another from Python.
     """
 
@@ -92,12 +96,12 @@ class EpochStages:
         left_out = set() if rtk.float_solution.kind == "sequential" else {"floats"}
         left_out |= set() if rtk.drift.anchors else {"drift"}
         if not services.with_rtk:
-            left_out |= {part.name for part in STAGES if isinstance(part, Listed) and "rtk" in part.kind}
+            left_out |= OF_CARRIERS
             at[Point.FIX].clear()
         self._every = _listed(at, modes, left_out)
         self._faultless = _listed(at, modes, left_out | {"wrong integers"})
         if self._faultless == PLAIN:
-            self._faultless = [kernels.locate]
+            self._faultless = [kernels.locate]  # compiled as one function
 
     def compile_ahead(self, make: Callable[[], Epoch]) -> None:
         """Begin to compile the plain epoch, in a second process too, if it is not cached; ``make`` returns an epoch."""
@@ -158,4 +162,4 @@ def _finish_ahead() -> None:
 def carrier_stages(sequential: bool) -> list[Stage]:
     """The stages that follow carriers, resolve their integers and find the position by RTK."""
     left_out = {"wrong integers"} if sequential else {"wrong integers", "floats"}
-    return [p.stage for p in STAGES if isinstance(p, Listed) and "rtk" in p.kind and p.name not in left_out]
+    return [p.stage for p in STAGES if isinstance(p, Listed) and p.name in OF_CARRIERS - left_out]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import find_attitude
+from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import admit_doppler, find_attitude
 from lanebound.integrity.navigators.rtk_reckoning.doubt_stage_kernel import follow_histories, judge_histories
 from lanebound.integrity.navigators.rtk_reckoning.extension_kernel import begin
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
-from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import find_levels
+from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import find_reckoned_levels
 from lanebound.integrity.navigators.rtk_reckoning.lock_kernel import follow_carriers
 from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import (
     advance_doppler,
@@ -26,13 +26,14 @@ from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import re
 from lanebound.integrity.navigators.rtk_reckoning.velocity_kernel import find_velocity
 
 __all__ = [
+    "admit_doppler",
     "advance_doppler",
     "advance_imu_odometer",
     "advance_nothing",
     "begin",
     "find_attitude",
     "find_fixed_position",
-    "find_levels",
+    "find_reckoned_levels",
     "find_velocity",
     "follow_carriers",
     "follow_histories",
@@ -57,6 +58,7 @@ def locate(first: int, last: int, epoch: Epoch) -> None:
     begin(first, last, epoch)
     find_velocity(first, last, epoch)
     find_attitude(first, last, epoch)
+    admit_doppler(first, last, epoch)
     follow_carriers(first, last, epoch)
     resolve_integers(first, last, epoch)
     find_fixed_position(first, last, epoch)
@@ -66,7 +68,7 @@ def locate(first: int, last: int, epoch: Epoch) -> None:
     separate_doppler(first, last, epoch)
     watch_speeds(first, last, epoch)
     follow_histories(first, last, epoch)
-    find_levels(first, last, epoch)
+    find_reckoned_levels(first, last, epoch)
     judge_fix(first, last, epoch)
     judge_histories(first, last, epoch)
     take_fix(first, last, epoch)

@@ -1,6 +1,6 @@
-"""The first stage of an epoch, and what the modes and stages from outside call.
+"""The first stage of an epoch, and what plug-in modes and stages call.
 
-A stage from outside is ``stage(first, last, epoch, own)`` with ``own`` of :class:`~.records_kernel.Own`, compiled by
+A plug-in stage is ``stage(first, last, epoch, own)`` with ``own`` of :class:`~.records_kernel.Own`, compiled by
 :func:`~lanebound.integrity.core.accel.jit` or plain Python.
 """
 
@@ -42,7 +42,7 @@ def exclude_satellite(epoch: Epoch, v: int, s: int) -> None:
 @jit
 def refuse_doppler(w: Any) -> None:
     """The Doppler velocity does not move the position in this epoch (Point.ESTIMATED)."""
-    w.measured = False
+    w.doppler_moves = False
 
 
 @jit
@@ -65,7 +65,8 @@ def raise_alert(w: Any, code: int) -> None:
 def raise_level(epoch: Epoch, v: int, case: int, axis: int, level: float) -> None:
     """Raise the protection level of vehicle v, of one case along (0) or across track (1), to ``level`` [m] at least.
 
-    A NaN counts as no level, ``inf``. Only at Point.BOUNDED: earlier stages come before the levels are computed.
+    A NaN counts as no level, ``inf``. Only at Point.BOUNDED: earlier stages come before the levels are computed. It
+    holds for this epoch; dead reckoning after RTK starts from the level before. So raise it as long as it must hold.
     """
     if not level <= epoch.levels[v, case, axis]:
         epoch.levels[v, case, axis] = level if level == level else math.inf

@@ -1,4 +1,4 @@
-"""Stages from outside: tests, exclusions, levels and alerts that a configuration adds to the epoch.
+"""Plug-in stages: tests, exclusions, levels and alerts that a configuration adds to the epoch.
 
 The stages of this package are always on and stand in the table of :mod:`.epoch`. ``stages: [name]`` in a configuration
 adds others, which :func:`register_stages` registers.
@@ -22,7 +22,7 @@ __all__ = ["EXTRA_STAGES", "ExtraStages", "Point", "register_stages", "stages_na
 
 @dataclass(frozen=True)
 class ExtraStages:
-    """Stages from outside of one name.
+    """Plug-in stages of one name.
 
     Attributes
     ----------

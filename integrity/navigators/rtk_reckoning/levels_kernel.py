@@ -23,7 +23,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, 
 __all__ = [
     "along_axes",
     "cover_histories",
-    "find_levels",
+    "find_reckoned_levels",
     "heading_bias",
     "later_by",
     "levels_since_fix",
@@ -49,7 +49,7 @@ def later_by(since: float, memory: float, duration: float) -> float:
 
 
 @jit
-def find_levels(first: int, last: int, epoch: Epoch) -> None:
+def find_reckoned_levels(first: int, last: int, epoch: Epoch) -> None:
     """Levels of the position as dead reckoning has moved it; inf where the odometer is doubted."""
     par, tables = epoch.parameters[0], epoch.tables
     for v in range(first, last):
@@ -63,7 +63,7 @@ def find_levels(first: int, last: int, epoch: Epoch) -> None:
 
 @jit
 def cover_histories(doubt: Any, tables: Tables, levels: Array) -> None:
-    """Raise the exact levels (R, 2) to hold on the axes of both headings that gyro and Doppler tell."""
+    """Raise the exact levels (R, 2) to hold along and across both headings, by gyro and by Doppler."""
     if doubt.stage == NONE:
         return
     for r in range(levels.shape[0]):

@@ -2,7 +2,7 @@
 
 A configuration names the modes to use in their order of preference, ``modes: [doppler, imu_odometer]``. The stage of
 a mode moves the vehicles that it is usable for and that no mode before it has moved, and adds to the growth of their
-errors, from which their protection levels follow. :func:`register_mode` adds a mode from outside.
+errors, from which their protection levels follow. :func:`register_mode` adds a plug-in mode.
 """
 
 from __future__ import annotations

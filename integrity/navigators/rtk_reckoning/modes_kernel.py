@@ -25,7 +25,7 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
     par = epoch.parameters[0]
     for v in range(first, last):
         vehicle, w = epoch.vehicles[v], epoch.work[v]
-        if w.mode != UNDECIDED or not (vehicle.initialised and w.measured):
+        if w.mode != UNDECIDED or not (vehicle.initialised and w.doppler_moves):
             continue
         if not vehicle.since_rtk <= par.modes.doppler_max_s:
             continue

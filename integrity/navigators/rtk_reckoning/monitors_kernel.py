@@ -82,7 +82,7 @@ def separate(t: Any, across_e: float, across_n: float, vehicle: Any, w: Any, fau
     if w.run != 0.0:
         move_by_course(across_e, across_n, fault.course, fault.latest)
         move_by_course(across_e, across_n, fault.course, fault.backup)
-    if w.measured:
+    if w.doppler_moves:
         fault.last = fault.now
     else:
         forget_influence(fault.last)
@@ -117,7 +117,7 @@ def judge_fix(first: int, last: int, epoch: Epoch) -> None:
         w.accepted = False
         if not w.fixed.usable:  # not confirmed, or of poor geometry: dead reckoning goes on with its own level
             continue
-        if w.fixed.lasting:  # an RTK position that has led the way may have been wrong since it began
+        if w.fixed.lasting:  # RTK has set the position since its first fix: if that was wrong, so is the position
             _use_backup(vehicle, epoch.starts[v], epoch.faults[v], epoch.tables, par, w, fixed_levels, levels)
         verdict = judge_position(vehicle, par, w, levels, fixed_levels)
         w.accepted = verdict == ACCEPTED

@@ -73,7 +73,7 @@ class RtkReckoningNavigator(Navigator):
         return belief
 
     def initial_extensions(self, batch: int) -> dict[str, Records]:
-        """The states of services, and of the modes and stages from outside."""
+        """The states of services, and of plug-in modes and stages."""
         modes = {f"mode {mode.mode.key}": mode.initial for mode in self.config.chosen_modes}
         extra = {f"stage {stages.name}": stages.initial for stages in self.config.extra_stages}
         given = {**modes, **extra}.items()

@@ -236,13 +236,13 @@ FIXED_SOLUTION = record(
     failure="failure rate of their integers: of the set that was tried, or of all where none is precise enough [-]",
     lasting=("?", "the epoch before had an RTK position"),
     usable=("?", "confirmed, and of good geometry: levels are filled"),
-    turned=("?", "what its level leaves to dead reckoning is bounded along and across the track, not on E and N"),
+    turned=("?", "dead reckoning takes its start bounds along and across the track, not East and North"),
 )
 WORK = record(
     suspect=("?", "Doppler must not be used"),
     solved=("?", "there is a tested Doppler velocity"),
     checked=("?", "it may move the position"),
-    measured=("?", "it agrees with the odometer and has good geometry"),
+    doppler_moves=("?", "it agrees with the odometer, has good geometry and no doubt of the heading refuses it"),
     velocity=("f8", (3,), "Doppler velocity of the antenna, East North Up [m/s]"),
     q=("f8", (3, 3), "its covariance [m^2/s^2]"),
     v_e="Doppler velocity of the reference point, East [m/s]",
@@ -269,8 +269,8 @@ WORK = record(
     integrates=("?", "the position moved by the Doppler velocity"),
     accepted=("?", "the RTK position is accepted"),
     fixed=(FIXED_SOLUTION, "RTK solution"),
-    excluded=("i8", "satellites excluded by stages from outside"),
-    cause=("i8", "code of AlertReason that a monitor from outside raises, 0 for none"),
+    excluded=("i8", "satellites excluded by plug-in stages"),
+    cause=("i8", "code of AlertReason that a plug-in stage raises, 0 for none"),
 )
 """What stages hand on to later stages of the same epoch."""
 
@@ -309,7 +309,7 @@ OUT = record(
 
 
 class Own(NamedTuple):
-    """What belongs to one mode or monitor from outside.
+    """What belongs to one plug-in mode or stage.
 
     code of its Mode or AlertReason; state (B,) of its own record, which lasts.
     """

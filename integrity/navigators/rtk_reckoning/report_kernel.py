@@ -41,12 +41,12 @@ def take_fix(first: int, last: int, epoch: Epoch) -> None:
             vehicle.position[0], vehicle.position[1] = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)
             vehicle.position[2] = w.fixed.position[2]
             g.p_ee, g.p_en, g.p_nn = w.fixed.p_ee, w.fixed.p_en, w.fixed.p_nn
-        vehicle.has_velocity = w.measured
-        if w.mode != DOPPLER and w.measured:  # the next epoch may begin a trapezoid with this velocity
+        vehicle.has_velocity = w.doppler_moves
+        if w.mode != DOPPLER and w.doppler_moves:  # the next epoch may begin a trapezoid with this velocity
             for k in range(2):
                 remember_velocity(w.q[0, 0], w.q[0, 1], w.q[1, 1], vehicle.growth[k])
         vehicle.velocity[0], vehicle.velocity[1] = w.v_e, w.v_n
-        if not w.measured:
+        if not w.doppler_moves:
             course, speed = vehicle.heading.angle + w.slip, epoch.observed[v].speed
             vehicle.velocity[0], vehicle.velocity[1] = speed * math.sin(course), speed * math.cos(course)
 
@@ -90,7 +90,7 @@ def report(first: int, last: int, epoch: Epoch) -> None:
 def keep_finite(vehicle: Any, levels: Any) -> bool:
     """Whether position and heading are finite; else there is no level, and the position is the last one of RTK that is.
 
-    Only a stage from outside can make them so: measurements that are not finite do not come here.
+    Only a plug-in stage can write others: measurements that are not finite do not come here.
     """
     if math.isfinite(vehicle.position[0] + vehicle.position[1] + vehicle.heading.angle):
         return True

@@ -1,6 +1,6 @@
-"""Where modes, services and stages from outside attach to an epoch, and how their stages are called.
+"""Where plug-in modes, services and stages attach to an epoch, and how their stages are called.
 
-A stage of this package is ``stage(first, last, epoch)``. A stage from outside is ``stage(first, last, epoch, own)``,
+A stage of this package is ``stage(first, last, epoch)``. A plug-in stage is ``stage(first, last, epoch, own)``,
 compiled or plain Python, where ``own`` (:class:`~.records_kernel.Own`) holds its code and its own state.
 """
 
@@ -27,7 +27,7 @@ STATELESS = np.zeros(1, record(nothing="not used"))
 
 
 class Point(Enum):
-    """Where in an epoch stages from outside run, in this order."""
+    """Where in an epoch plug-in stages run, in this order."""
 
     MEASURED = "before anything is estimated: satellites may be excluded"
     VELOCITY = "the Doppler velocity is found and tested"
@@ -51,7 +51,7 @@ class SeparateStage:
 
 @dataclass(frozen=True)
 class OutsideStage(SeparateStage):
-    """A stage of a mode or monitor from outside: its name, code of Mode or AlertReason, and the function.
+    """A stage of a plug-in mode or stage: its name, code of Mode or AlertReason, and the function.
 
     ``bounds`` marks a stage that runs after all protection levels and may raise them.
     """

@@ -112,7 +112,7 @@ def settle(first: int, last: int, epoch: Epoch, coupling: Coupling) -> None:
         for k in range(faults.shape[0]):
             faults[k].latest = coupling.separations[v, k]
         vehicle.separated = proposal.separated
-        if w.measured and not proposal.by_doppler:
+        if w.doppler_moves and not proposal.by_doppler:
             remember_velocity(w.q[0, 0], w.q[0, 1], w.q[1, 1], vehicle.growth[LATEST])
         copy_reckoning(LATEST, BACKUP, vehicle, starts, faults)
 

@@ -27,7 +27,7 @@ def switch_velocity(first: int, last: int, epoch: Any, own: Any) -> None:
     """Refuse the Doppler velocity where it differs from that of heading and odometer by more than LARGEST_MPS."""
     for v in range(first, last):
         vehicle, w = epoch.vehicles[v], epoch.work[v]
-        if not w.measured or vehicle.watch.doubted or not vehicle.since_calibration < math.inf:
+        if not w.doppler_moves or vehicle.watch.doubted or not vehicle.since_calibration < math.inf:
             continue
         speed, course = epoch.observed[v].speed, vehicle.heading.angle + w.slip
         if not w.resting:

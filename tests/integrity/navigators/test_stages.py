@@ -156,7 +156,8 @@ def test_heading_follows_the_gyro_the_course_of_doppler_and_is_held_at_rest() ->
     assert heading["p_hh"][1] < 0.05**2
     assert (heading["angle"][2], w["turned"][2]) == (pytest.approx(0.7), 0.0)
     assert w["resting"].tolist() == [False, False, True]
-    assert w["measured"].tolist() == [False, True, False]
+    run("admission", epoch)
+    assert w["doppler_moves"].tolist() == [False, True, False]
     assert epoch.vehicles["since_calibration"].tolist() == [2.0, 0.0, 2.0]
     assert np.isinf(w["sdop"][[0, 2]]).all()
     assert np.isfinite(w["sdop"][1])
@@ -279,7 +280,7 @@ def test_separation_grows_by_the_velocity_or_by_the_heading_that_moved_the_posit
     faults, rules = epoch.faults, epoch.parameters["doppler"][0]
     faults["now"]["state"][:, 4], faults["now"]["d_e"][:, 4], faults["now"]["l_ee"][:, 4] = dk.MONITORED, 0.5, 0.1
     faults["course"]["h"][1, 4], faults["course"]["used"][1, 4] = 0.01, 0.5
-    epoch.work["integrates"][0], epoch.work["measured"][0], epoch.work["run"][1] = True, True, 2.0
+    epoch.work["integrates"][0], epoch.work["doppler_moves"][0], epoch.work["run"][1] = True, True, 2.0
     run("separation", epoch)
     for name in ("latest", "backup"):
         mine = faults[name][:, 4]
@@ -327,7 +328,7 @@ def test_levels_of_a_known_covariance_are_its_deviations_times_the_factors() -> 
     epoch.vehicles["initialised"], epoch.vehicles["unbounded"][1] = [True, True, False], True
     epoch.vehicles["growth"]["p_ee"], epoch.vehicles["growth"]["p_nn"] = 0.2**2, 0.3**2
     epoch.levels[:] = np.inf
-    run("levels", epoch)
+    run("reckoned levels", epoch)
     bias = epoch.parameters["risk"]["reference_bias"][0]
     for case, level in zip(epoch.tables.cases, epoch.levels[0], strict=True):
         assert not case["published"]
@@ -459,7 +460,7 @@ def test_doppler_moves_by_the_mean_of_two_velocities_and_leaves_others_alone() -
     epoch.parameters["modes"]["doppler_if_tighter"] = False
     vehicle, w = epoch.vehicles, epoch.work
     vehicle["initialised"], vehicle["velocity"], vehicle["has_velocity"] = True, [1.0, 2.0], [True, False, False]
-    w["measured"], w["v_e"], w["v_n"], w["q"] = [True, True, False], 3.0, 4.0, 0.01 * np.eye(3)
+    w["doppler_moves"], w["v_e"], w["v_n"], w["q"] = [True, True, False], 3.0, 4.0, 0.01 * np.eye(3)
     w["step"]["dt_s"] = DT
     advance_doppler(0, 3, epoch)
     moved = [[0.5 * DT * 4.0, 0.5 * DT * 6.0], [DT * 3.0, DT * 4.0], [0.0, 0.0]]
