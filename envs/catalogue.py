@@ -35,7 +35,9 @@ def world_of(config: EnvConfig) -> AbstractEnv:
     world = dict(config.world)
     if "offroad_terminal" in defaults:
         world.setdefault("offroad_terminal", config.off_road_ends)
-    return make_world(name, world, {**own, **config.action_options}, config.simulation_hz, config.policy_hz)
+    return make_world(
+        name, world, {**own, **config.action_options}, config.simulation_hz, config.policy_hz, config.duration_s
+    )
 
 
 def _action(native: dict[str, Any], kind: ActionKind) -> dict[str, Any]:

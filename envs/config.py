@@ -82,7 +82,10 @@ class EnvConfig(Config):
     al_ct_m: float | None = Field(None, gt=0, description="cross-track alert limit; None: (narrowest lane - car) / 2")
     keep_lane: bool = Field(True, description="costs count beyond the lane; false: beyond the road")
     duration_s: float | None = Field(
-        None, gt=0, le=3600, description="length of an episode; None: that of the world, or 300 s"
+        None,
+        gt=0,
+        le=3600,
+        description="length of an episode, over world.duration; None: that of the world, or 300 s",
     )
     off_road_ends: bool = Field(True, description="terminate when the middle of the car leaves the road")
     wrong_way_s: float = Field(1.0, gt=0, description="terminate after driving against the lane for this time")

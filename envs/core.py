@@ -127,8 +127,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
       of them. With `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0.
     - A car at rest in its lane and in nobody's way can only have `cost_hmi`. Ending an episode early by a crash or off
       the road costs 200 and more, which exceeds every `cost_limit`. It can cost less than a careless drive to the end:
-      in UrbanCanyon a car that leaves the road at once costs 230, `nominal` 221 and 355 (means of 12 seeds each, 1000
-      and 0 on). Costs without a limit, or with a small reward, may therefore teach to end early.
+      in UrbanCanyon leaving the road at once costs 230, `nominal` 221 (mean of seeds 1000 to 1011) or 355 (seeds 0 to
+      11). Costs without a limit, or with a small reward, may therefore teach to end early.
     - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
 
     ## Info
@@ -186,7 +186,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     at the end it is at most 10 s (`success_behind_s`) behind a car that always drives at that share. A lead gained
     earlier is not credited: a car that drives fast and then stops for good is late. With a wreck within these 4 s no
     vehicle ahead lowers the allowed speed, so waiting behind it is no success. Costs do not count for a success. Report
-    successes within `cost_limit` beside the mean speed (`success_within_limit` and `mean_speed` of the benchmark).
+    successes within `cost_limit` and the mean speed (`success_within_limit` and `mean_speed` of the benchmark).
 
     ## Arguments
     `gymnasium.make(id, config={...}, render_mode=...)`. `config` is merged deeply over the preset of the id; an unknown

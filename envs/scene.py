@@ -22,7 +22,7 @@ from lanebound.envs.road_map import road_map_of
 from lanebound.envs.sky import SkyLevel, Street, build_street
 from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.config_errors import joined
-from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.risk import upper_quantile
 from lanebound.integrity.navigators.navigator import NavigatorConfig
@@ -169,12 +169,36 @@ def set_scene(
     schedule = FaultSchedule(())
     if episodes.navigation is not None:
         campaign = _campaign(episodes.navigation, config, duration_s(config, world), capacity, seed)
-        campaign = campaign if faults is None else faults
+        if faults is not None:
+            _require_effect(faults, episodes.navigation, duration_s(config, world))
+            campaign = faults
         start_s = config.navigation.clock_start_s
         schedule = FaultSchedule([fault.replace(start_s=fault.start_s + start_s) for fault in campaign])
         episodes.navigation.navigator.faults = schedule
     here = np.zeros(1, dtype=np.int64)
     return EpisodeContext(street, episodes, seed, starts._replace(layout=here, hour=here), schedule)
+
+
+def _require_effect(faults: Sequence[Fault], navigation: NavigationBatch, duration_s: float) -> None:
+    """Refuse faults that cannot act: a driver would seem robust against them."""
+    track = navigation.skies.track
+    for i, fault in enumerate(faults):
+        name = f"options.faults.{i}"
+        if fault.start_s >= duration_s:
+            raise InputError(
+                f"{name}.start_s must be before the end of the episode, {duration_s:g} s, got {fault.start_s:g}: "
+                "begin it earlier, or raise duration_s"
+            )
+        if fault.vehicle is not None and fault.vehicle >= navigation.vehicles:
+            raise InputError(
+                f"{name}.vehicle must be below {navigation.vehicles}, the vehicles that navigate (0: the ego), got "
+                f"{fault.vehicle}: name another, or none for all"
+            )
+        if fault.prn is not None and not ((track.system == fault.system) & (track.prn == fault.prn)).any():
+            known = ", ".join(map(str, sorted(track.prn[track.system == fault.system]))) or "none"
+            raise InputError(
+                f"{name}.prn must be of a satellite of this sky, got {fault.prn}: it has {known} of that system"
+            )
 
 
 def _campaign(

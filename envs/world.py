@@ -95,9 +95,12 @@ def world_defaults(base: str, called: str = "base") -> dict[str, Any]:
 
 
 def make_world(
-    base: str, overrides: Mapping[str, Any], action: Mapping[str, Any], simulation_hz: int, policy_hz: int
-) -> AbstractEnv:
+    base: str, overrides: Mapping[str, Any], action: Mapping[str, Any], simulation_hz: int, policy_hz: int,
+    duration_s: float | None = None,
+) -> AbstractEnv:  # fmt: skip
     """A highway-env environment with deep-merged overrides and no observation; the rates divide (EnvConfig sees to it).
+
+    A longer ``duration_s`` takes the place of the world's own duration, which would end the episode earlier.
 
     Raises
     ------
@@ -108,6 +111,8 @@ def make_world(
     defaults = kind.default_config()
     _check_keys(overrides, defaults, "world")
     config = deep_merge(defaults, overrides)
+    if duration_s is not None and config.get("duration", duration_s) < duration_s:
+        config["duration"] = duration_s
     _check_figures(config)
     if config.get("controlled_vehicles", 1) != 1:
         raise ConfigError("world.controlled_vehicles must be 1: one ego drives on its belief, the others are traffic")

@@ -153,6 +153,7 @@ def _checkpoint(path: str, env: DrivingEnv) -> Driver:
     trained, shown = model.observation_space, env.observation_space
     if not _alike(model.action_space, env.action_space):
         raise _unlike(path, "actions", model.action_space, env.action_space)
+    _require_bounds(path, model.action_space, env.action_space)
     config = env.config.observation
     inputs = inputs_in(Path(path)) or PolicyInputs.of(config)
     selection = inputs.select_from(config, f"agent {path}")
@@ -244,6 +245,19 @@ def _alike(trained: spaces.Space[Any], here: spaces.Space[Any]) -> bool:
     if isinstance(trained, spaces.Discrete) and isinstance(here, spaces.Discrete):
         return bool(trained.n == here.n)
     return type(trained) is type(here) and trained.shape == here.shape
+
+
+def _require_bounds(path: str, trained: spaces.Space[Any], here: spaces.Space[Any]) -> None:
+    """Refuse a policy whose actions have another scale, as after training in a wrapper that rescales them."""
+    if not (isinstance(trained, spaces.Box) and isinstance(here, spaces.Box)):
+        return
+    if not (np.allclose(trained.low, here.low) and np.allclose(trained.high, here.high)):
+        bounds = "[{:g}, {:g}]"
+        raise InputError(
+            f"agent {path} must give actions in {bounds.format(here.low.min(), here.high.max())}, got a policy for "
+            f"{bounds.format(trained.low.min(), trained.high.max())}: it was trained in a wrapper like RescaleAction; "
+            "train it without, or drive it by your own MODULE:FUNCTION, which rescales"
+        )
 
 
 def _shape(space: spaces.Space[Any]) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from gymnasium.wrappers import NormalizeObservation
+from gymnasium.wrappers import NormalizeObservation, RescaleAction
 from stable_baselines3 import A2C, DQN, PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from typer.testing import CliRunner
@@ -60,6 +60,14 @@ def test_checkpoints_of_stable_baselines_drive(steered, tmp_path, kind, policy):
     np.testing.assert_array_equal(
         agent.predict(observation, deterministic=True)[0], model.predict(observation, deterministic=True)[0]
     )
+
+
+def test_a_checkpoint_whose_actions_were_rescaled_is_refused(steered, tmp_path):
+    path = str(tmp_path / "half.zip")
+    rescaled = RescaleAction(steered, np.float32(0.0), np.float32(1.0))
+    PPO("MultiInputPolicy", rescaled, policy_kwargs={"net_arch": [8]}, device="cpu").save(path)
+    with pytest.raises(InputError, match=r"half\.zip must give actions in \[-1, 1\], got a policy for \[0, 1\]: "):
+        make_agent(path, steered)
 
 
 def test_a_checkpoint_for_meta_actions_and_flat_observations(meta, steered, tmp_path):
