@@ -22,6 +22,7 @@ from lanebound.envs.vector.start_kernel import clear_rows, seat_rows
 from lanebound.envs.vector.support import require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
 from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.compile_ahead import compile_beside
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT
@@ -123,6 +124,7 @@ class Engine:
         self._begun = np.zeros(count, dtype=np.bool_)  # whether an environment has had an episode
         self._ahead = max(1, PREPARED // count)
         self._waits = np.zeros(count, dtype=np.int64)  # how many next ones are ready
+        compile_beside(self._kernel, 0, 0, *self._to_drive(self._everyone, 1, True, self.codes))
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the functions of the world."""
@@ -242,10 +244,14 @@ class Engine:
 
         Where the policy step ``ends`` with them, end rules and reward of the wrapped world judge it.
         """
+        row_us = VEHICLE_FRAME_US * frames * self.episodes.cars.shape[1]
+        run_rows(self._kernel, rows.size, *self._to_drive(rows, frames, ends, codes), row_us=row_us)
+
+    def _to_drive(self, rows: Rows, frames: int, ends: bool, codes: Rows) -> tuple[Any, ...]:
+        """Arguments of the kernels of :mod:`.drive_kernel`."""
         e, stage = self.episodes, self._stage
-        run_rows(
-            self._kernel, rows.size, rows, frames, ends, codes, e.cars, stage.drivers, e.ego, e.motions,
-            e.table.lanes, e.rules, stage.traffic, row_us=VEHICLE_FRAME_US * frames * e.cars.shape[1],
+        return (
+            rows, frames, ends, codes, e.cars, stage.drivers, e.ego, e.motions, e.table.lanes, e.rules, stage.traffic,
         )  # fmt: skip
 
     def _take_up(self, actions: NDArray[Any]) -> None:
