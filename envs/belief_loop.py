@@ -238,8 +238,8 @@ class BeliefLoop:
 
     # Scores and observations
 
-    def score(self, end: WorldStep, start: bool = False) -> None:
-        """Score the policy step that ends now."""
+    def score_and_observe(self, end: WorldStep, start: bool = False) -> None:
+        """Score the policy step that ends now, and fill the observation of now."""
         e, row = self.episodes, self.episodes.table.row
         self.seats.read(full=True)
         self._intents()
@@ -250,11 +250,7 @@ class BeliefLoop:
         arrived = goal is None or goal(self.world)
         over = end.terminated or (goal is not None and arrived)
         e.ego["facts"][0] = bool(self.ego.on_road), over, end.truncated, arrived, end.reward
-        e.score(ROW, start)
-
-    def observe(self, start: bool = False) -> None:
-        """Fill the observation of now."""
-        self.episodes.observe(ROW, start)
+        e.score_and_observe(ROW, start)
 
     @property
     def info(self) -> dict[str, Any]:

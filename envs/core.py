@@ -255,8 +255,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         context = set_scene(self.world, self.config, episode_seed, faults)
         self.belief_loop = loop = BeliefLoop(self.world, self.config, context)
         self.observer.reset()
-        loop.score(WorldStep(False, False, 0.0), start=True)
-        loop.observe(start=True)
+        loop.score_and_observe(WorldStep(False, False, 0.0), start=True)
         info = loop.info
         self._show(info)
         return self._observe(), info
@@ -279,8 +278,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         loop.perceive()
         if loop.time_s >= self._duration_s - 0.5 * self.dt_s:
             end = end._replace(truncated=True)
-        loop.score(end)
-        loop.observe()
+        loop.score_and_observe(end)
         info, outcome = loop.info, loop.episodes.ego["outcome"][0]
         self._show(info)
         return self._observe(), float(outcome["reward"]), bool(outcome["terminated"] > 0.0), end.truncated, info

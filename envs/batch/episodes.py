@@ -7,7 +7,7 @@ all else is here:
 1. :meth:`Episodes.begin` at a start: navigation on its approach, first belief, first picture of the traffic;
 2. after each simulation step the belief is carried on (:func:`.rows_kernel.carry_on`);
 3. after each epoch :meth:`Episodes.sense`, :meth:`Episodes.locate` and :meth:`Episodes.perceive`;
-4. after each policy step :meth:`Episodes.score` and :meth:`Episodes.observe`.
+4. after each policy step :meth:`Episodes.score_and_observe`.
 """
 
 from __future__ import annotations
@@ -27,9 +27,11 @@ from lanebound.envs.batch.navigation import NavigationBatch, Starts, fixes_of
 from lanebound.envs.batch.perception import PerceptionBatch, perceives
 from lanebound.envs.batch.records_kernel import CAR, EGO
 from lanebound.envs.batch.route_map import Reach, Routes
+from lanebound.envs.batch.sky_ahead_kernel import Ahead
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation.index import Observed, entries, sources_of
 from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.compile_ahead import compile_beside
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records
 
@@ -37,10 +39,9 @@ __all__ = ["Episodes", "copy_rows", "empty_cars", "reach_of"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-SHOWN = {"full": vk.FULL, "clock": vk.BLIND, "blind": vk.BLIND, "oracle": vk.ORACLE}
 RESTARTED = ("belief", "track", "command", "score", "facts", "outcome")  # parts of EGO that a start clears
 EPS_S = 1e-6  # a window of 1 s holds ten steps of 0.1 s, whatever they sum to
-TAKE_US, SCORE_US, OBSERVE_US = 0.5, 2.5, 2.5  # of one thread for an environment, measured
+TAKE_US, CONCLUDE_US = 0.5, 5.0  # of one thread for an environment, measured
 
 
 def empty_cars(count: int, vehicles: int) -> Records:
@@ -77,7 +78,7 @@ class Episodes:
     Attributes
     ----------
     ego : (N,) EGO
-    sky : (N, 3 D) satellites predicted ahead, negative for unknown
+    views : what observations are derived of
     frame : (N, E) float32, the newest observations
     epoch_steps : simulation steps in an epoch; None with perfect positions and without sensing: there are no epochs
     """
@@ -98,39 +99,22 @@ class Episodes:
         self.index = entries(o)
         self._sources = sources_of(self.index)
         self._extra = [(place, entry) for place, entry in enumerate(self.index) if callable(entry.source)]
-        self._integrity, self._sees_truth = SHOWN[o.integrity], config.perception.source == "truth"
         self.ego: Records = np.zeros(n, EGO)
         self.motions: Records = np.zeros((n, 0), MOTION) if navigation is None else navigation.motions
         self._sensed = config.navigation.source.uses_sensors
-        self.sky = np.full((n, 3 * len(o.satellites_m)), -1.0)
         trail = 1 + int(np.ceil((o.trend_window_s - EPS_S) * config.policy_hz))
         self.views = vk.Views(
             preview=np.zeros((n, len(o.preview_m)), vk.AHEAD),
             vehicles=np.zeros((n, o.vehicles), vk.BESIDE),
-            distances=np.array(o.preview_m, dtype=np.float64),
+            sky=np.full((n, 3 * len(o.satellites_m)), -1.0),
             trail=np.zeros((n, trail, 2)),
+            distances=np.array(o.preview_m, dtype=np.float64),
         )
         self.frame = np.zeros((n, len(self.index)), dtype=np.float32)
-        self._words = self._all_words()
         exact = not (rules["offset_at_m"][0] or rules["offset_ct_m"][0])
         alike = exact and navigation is None and not perceives(config.perception)
         self.epoch_steps = None if alike else config.navigation.steps_per_epoch(config.simulation_hz)
-
-    def _all_words(self) -> vk.Words:
-        """The memory of the records that observations come from."""
-        v, number = self.views, np.float64
-        return vk.Words(
-            _words(self.ego, number), _words(self.ego, np.int64), _words(v.preview, number), self.sky,
-            _words(v.vehicles, number),
-        )  # fmt: skip
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Everything but the memory of other arrays."""
-        return {name: value for name, value in self.__dict__.items() if name != "_words"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._words = self._all_words()
+        compile_beside(rk.conclude_rows, 0, 0, *self._to_conclude(self.path_of, True))
 
     @property
     def table(self) -> LaneTable:
@@ -140,8 +124,8 @@ class Episodes:
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """Those that have a row for each environment, but for what navigates."""
-        views = self.views.preview, self.views.vehicles, self.views.trail
-        return self.cars, self.ego, *views, self.sky, self.frame, *self.perception.arrays
+        views = self.views.preview, self.views.vehicles, self.views.sky, self.views.trail
+        return self.cars, self.ego, *views, self.frame, *self.perception.arrays
 
     @property
     def nbytes(self) -> int:
@@ -234,34 +218,26 @@ class Episodes:
         at, fixes = (rows, None) if self.navigation is None else (self.navigation.at(rows), self.navigation.fixes)
         self.perception.perceive(rows, at, time_s, fixes, self.cars, self.ego, lies)
 
-    def score(self, rows: Rows, start: bool) -> None:
-        """Score a policy step, or a start, and find what is shown of the egos."""
-        p = self.perception.pictures
-        run_rows(
-            rk.score_rows, rows.size, rows, self.cars, self.ego, p.picture, p.perceived, self.table.lanes, self.path_of,
-            self.rules, self._sees_truth, self._integrity, start, row_us=SCORE_US,
-        )  # fmt: skip
+    def score_and_observe(self, rows: Rows, start: bool) -> None:
+        """Score a policy step, or a start, find what is shown of the egos, and fill the frames."""
+        run_rows(rk.conclude_rows, rows.size, *self._to_conclude(rows, start), row_us=CONCLUDE_US)
+        if self._extra:
+            self._fill_extra(rows)
 
-    def observe(self, rows: Rows, start: bool) -> None:
-        """Fill the frames after a policy step, or at a start."""
-        run_rows(self._observe, rows.size, rows, start, row_us=OBSERVE_US)
-        self._fill_extra(rows)
-
-    def _observe(self, first: int, last: int, rows: Rows, start: bool) -> None:
-        p, lanes, routes, n = self.perception.pictures, self.table.lanes, self.routes.map, self.navigation
-        if n is not None and self._sensed and self.sky.size:
-            rk.predict_rows(first, last, rows, self.ego, lanes, routes, n.where, n.forecast, n.sky, self.sky)
-        rk.observe_rows(
-            first, last, rows, self.cars, self.ego, p.picture, p.perceived, self.views, self._words, self._sources,
-            self.frame, lanes, routes, self.rules, self._integrity, start,
+    def _to_conclude(self, rows: Rows, start: bool) -> tuple[Any, ...]:
+        """Arguments of :func:`.rows_kernel.conclude_rows`."""
+        p, n, ahead = self.perception.pictures, self.navigation, None
+        if n is not None and self._sensed and self.views.sky.size:
+            ahead = Ahead(n.where, n.forecast, n.sky)
+        return (
+            rows, self.cars, self.ego, p.picture, p.perceived, self.path_of, self.table.lanes, self.routes.map,
+            self.rules, self.views, ahead, self._sources, self.frame, start,
         )  # fmt: skip
 
     def _fill_extra(self, rows: Rows) -> None:
         """Fill the entries whose sources are functions."""
-        if not self._extra:
-            return
         v, e = self.views, self.ego[rows]
-        observed = Observed(e["shown"], e["own"], v.preview[rows], self.sky[rows], v.vehicles[rows])
+        observed = Observed(e["shown"], e["own"], v.preview[rows], v.sky[rows], v.vehicles[rows])
         for place, entry in self._extra:
             if callable(entry.source):
                 value = np.asarray(entry.source(observed), dtype=np.float64)

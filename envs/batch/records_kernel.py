@@ -278,6 +278,8 @@ RULES = record(
     mode_given=("i8", "code of Mode for a position that is given"),
     rtk_given=("i8", "code of RtkStatus for a position that is given"),
     pl_most_m="protection levels are shown up to here",
+    shown=("i8", "what is shown of integrity: FULL, BLIND, or ORACLE, by which the truth is shown"),
+    sees_truth=("i8", "1 where the ego perceives the traffic as it is"),
     rewards=(REWARD_WEIGHTS, "weights of the terms"),
     costs=(COST_FIGURES, "weights and figures of the costs"),
 )

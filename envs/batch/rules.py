@@ -7,6 +7,7 @@ from typing import Any
 from highway_env.vehicle.kinematics import Vehicle
 
 from lanebound.envs.batch.records_kernel import COST_FIGURES, GIVEN, REWARD_WEIGHTS, RULES, SENSED, TERMS
+from lanebound.envs.batch.view_kernel import BLIND, FULL, ORACLE
 from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.navigation import Source
 from lanebound.integrity.core.records import Records, one_record
@@ -14,6 +15,8 @@ from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode, RtkStatus
 
 __all__ = ["cost_figures", "rules_of"]
+
+SHOWN = {"full": FULL, "clock": BLIND, "blind": BLIND, "oracle": ORACLE}
 
 
 def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: float) -> Records:
@@ -53,6 +56,8 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
         mode_given=int(Mode.RTK),
         rtk_given=RtkStatus.FIXED.code,
         pl_most_m=config.observation.pl_max_m,
+        shown=SHOWN[config.observation.integrity],
+        sees_truth=config.perception.source == "truth",
         rewards=one_record(REWARD_WEIGHTS, **{name: getattr(config.reward, name) for name in TERMS}),
         costs=cost_figures(config.cost),
     )

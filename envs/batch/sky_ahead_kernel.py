@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.lanes_kernel import local
+from lanebound.envs.batch.motion_kernel import Whereabouts
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import TWO_PI
 from lanebound.integrity.sky.raytrace_kernel import bin_of
 
-__all__ = ["Forecast", "HourTable", "SkyRows", "fill_sky", "predict"]
+__all__ = ["Ahead", "Forecast", "HourTable", "SkyRows", "fill_sky", "predict"]
 
 BELOW_RAD = -0.5 * math.pi  # elevation of satellites below the horizon, whose directions are not used
 NO_LANE = -1.0  # number of satellites where there is no lane
@@ -54,6 +55,14 @@ class Forecast(NamedTuple):
     elevations: int
 
 
+class Ahead(NamedTuple):
+    """What satellites ahead are predicted from: where the environments are, what the map says, and the sky now."""
+
+    where: Whereabouts
+    forecast: Forecast
+    sky: SkyRows
+
+
 @jit(borrows=True)
 def fill_sky(table, hour, clock, e, sky):  # type: ignore[no-untyped-def]
     """The satellites of an environment ``clock`` [s] after the beginning of its hour, cubic Hermite between knots.
@@ -86,12 +95,13 @@ def fill_sky(table, hour, clock, e, sky):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def predict(b, lanes, routes, where, forecast, sky, e, cells, out):  # type: ignore[no-untyped-def]
+def predict(b, lanes, routes, ahead, e, cells, out):  # type: ignore[no-untyped-def]
     """Fill out (3 D,): satellites in line of sight at distances ahead, on the lanes left, own and right, -1 for none.
 
     The neighbours are those of the lane that the route takes at that distance, at the same share of its length. cells
     (2, 3 D) is scratch: station and lane of each place.
     """
+    where, forecast, sky = ahead
     _places_ahead(b, lanes, routes, where, forecast, e, cells, out)
     for s in range(sky.azimuth.shape[1]):
         if not sky.above[e, s]:

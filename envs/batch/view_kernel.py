@@ -20,7 +20,7 @@ from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import Records, record
 
 __all__ = ["AHEAD", "BESIDE", "BLIND", "EGO_NUMBER", "EGO_WHOLE", "FULL", "ORACLE", "PREVIEW", "SKY", "SOURCE",
-           "VEHICLE", "Views", "Words", "derive", "fill_frame", "true_view"]  # fmt: skip
+           "VEHICLE", "Views", "Words", "derive", "fill_frame", "true_view", "words_of"]  # fmt: skip
 
 FULL, BLIND, ORACLE = 0, 1, 2  # what is shown of integrity
 UNKNOWN = -math.inf  # a number of satellites that no map predicts
@@ -65,10 +65,10 @@ SOURCE = record(
 
 
 class Words(NamedTuple):
-    """The blocks of N environments as 8-byte words, the memory of the records: (N, words).
+    """The blocks of N environments as 8-byte words, the memory of the records.
 
-    ego (EGO) and ego_whole are the same memory, read as numbers and as whole numbers; preview (N, D AHEAD); sky
-    (N, 3 D): satellites predicted on the lanes left, own and right, negative for unknown; vehicles (N, R BESIDE).
+    ego (N EGO,) and ego_whole are the same memory, read as numbers and as whole numbers; preview (N, D AHEAD); sky
+    (N, 3 D); vehicles (N, R BESIDE).
     """
 
     ego: NDArray[np.float64]
@@ -81,13 +81,24 @@ class Words(NamedTuple):
 class Views(NamedTuple):
     """What is derived for N environments: preview (N, D) AHEAD, vehicles (N, R) BESIDE; distances (D,).
 
-    trail (N, n + 1, 2): clipped levels of the last n observations.
+    sky (N, 3 D): satellites predicted on the lanes left, own and right, negative for unknown; trail (N, n + 1, 2):
+    clipped levels of the last n observations.
     """
 
     preview: Records
     vehicles: Records
-    distances: NDArray[np.float64]
+    sky: NDArray[np.float64]
     trail: NDArray[np.float64]
+    distances: NDArray[np.float64]
+
+
+@jit
+def words_of(egos: Records, views: Views) -> Words:
+    """The memory of egos (N,) EGO and of views."""
+    number = np.float64
+    return Words(
+        egos.view(number), egos.view(np.int64), views.preview.view(number), views.sky, views.vehicles.view(number)
+    )
 
 
 @jit(inline=True)
@@ -110,9 +121,9 @@ def true_view(car, lanes, path_of, rules, view):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def derive(ego, seen, count, lanes, routes, rules, shown, e, views):  # type: ignore[no-untyped-def]
+def derive(ego, seen, count, lanes, routes, rules, e, views):  # type: ignore[no-untyped-def]
     """Fill the view, the preview and the vehicles of environment e from what is shown of its ego and of the traffic."""
-    b = ego.shown
+    b, shown = ego.shown, rules.shown
     _derive_ego(b, lanes, routes, ego.own)
     _derive_levels(b, rules, shown, ego.score.observed, views.trail[e], ego.own)
     cosine, sine = math.cos(b.heading_rad), math.sin(b.heading_rad)
@@ -222,18 +233,19 @@ def fill_frame(sources, words, e, view, frame):  # type: ignore[no-untyped-def]
 
     sources (E,) SOURCE; ``view``: VIEW of its ego, by which predictions on missing lanes are left out.
     """
+    ego = e * (words.ego.shape[0] // words.sky.shape[0])  # its first word
     for n in range(frame.shape[0]):
         source = sources[n]
         block, word = source.block, source.word
         value = 0.0
         if block == EGO_NUMBER:
-            value = words.ego[e, word]
+            value = words.ego[ego + word]
         elif block == VEHICLE:
             value = words.vehicles[e, word]
         elif block == PREVIEW:
             value = words.preview[e, word]
         elif block == EGO_WHOLE:
-            value = float(words.ego_whole[e, word])
+            value = float(words.ego_whole[ego + word])
         elif block == SKY:
             value = words.sky[e, word]
             side = word % 3

@@ -3,9 +3,9 @@
 One entry kernel for each kind of traffic, so that only those that a configuration needs are compiled. After each step
 the beliefs of the egos are carried on; :class:`..batch.episodes.Episodes` completes an epoch.
 
-``kernel(first, last, rows, frames, codes, cars, drivers, egos, motions, lanes, rules, traffic)``: ``frames`` steps;
-codes (N,) of meta-actions to be taken up before, (0,) for none; drivers (N, V) DRIVER; the others as in
-:mod:`..batch.rows_kernel`.
+``kernel(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic)``: ``frames``
+steps, with which the policy step ``ends`` or not; codes (N,) of meta-actions to be taken up before, (0,) for none;
+drivers (N, V) DRIVER; the others as in :mod:`..batch.rows_kernel`.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from lanebound.envs.vector.drivers_kernel import (
     wander_all,
 )
 from lanebound.envs.vector.motorway_kernel import accelerate, change_lanes, drive_others, sort_along, survey
+from lanebound.envs.vector.world_kernel import judge
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 
@@ -52,14 +53,14 @@ class TrafficFigures(NamedTuple):
 
 
 @jit
-def run_course(first, last, rows, frames, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
+def run_course(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
     """Vehicles that drive profiles of speeds, or the ego alone."""
     numbers, wholes = np.empty((NUMBERS, cars.shape[1])), np.empty((WHOLES, cars.shape[1]), np.int64)
     for e in rows[first:last]:
         here = cars[e, : egos[e].vehicles]
         v = _begin(e, codes, here, drivers[e], egos[e], lanes, traffic, numbers, wholes)
         _course(e, frames, v, here, egos[e], motions[e], lanes, rules[0], traffic)
-        store(v, here, drivers[e])
+        _end(v, here, drivers[e], egos[e], lanes, rules[0], traffic.world[0], ends)
 
 
 @jit(inline=True)
@@ -70,6 +71,14 @@ def _begin(e, codes, cars, drivers, ego, lanes, traffic, numbers, wholes):  # ty
     v = vehicles_in(numbers, wholes, cars.shape[0])
     load(cars, drivers, v)
     return v
+
+
+@jit(inline=True)
+def _end(v, cars, drivers, ego, lanes, rules, world, ends):  # type: ignore[no-untyped-def]
+    """Store the vehicles after the last step, and judge the policy step if it ends."""
+    store(v, cars, drivers)
+    if ends:
+        judge(cars[0], ego, lanes, rules, world, False)
 
 
 @jit(inline=True)
@@ -94,7 +103,7 @@ def _course(e, frames, v, cars, ego, motions, lanes, rules, traffic):  # type: i
 
 
 @jit
-def run_motorway(first, last, rows, frames, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
+def run_motorway(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
     """The drivers of a straight motorway."""
     vehicles = cars.shape[1]
     numbers, wholes = np.empty((NUMBERS, vehicles)), np.empty((WHOLES, vehicles), np.int64)
@@ -105,7 +114,7 @@ def run_motorway(first, last, rows, frames, codes, cars, drivers, egos, motions,
         here = cars[e, : egos[e].vehicles]
         v = _begin(e, codes, here, drivers[e], egos[e], lanes, traffic, numbers, wholes)
         _motorway(frames, v, here, egos[e], motions[e], lanes, rules[0], traffic, scratch)
-        store(v, here, drivers[e])
+        _end(v, here, drivers[e], egos[e], lanes, rules[0], traffic.world[0], ends)
 
 
 @jit(borrows=True)
@@ -131,7 +140,7 @@ def _motorway(frames, v, cars, ego, motions, lanes, rules, traffic, scratch):  #
 
 
 @jit
-def run_city(first, last, rows, frames, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
+def run_city(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
     """The drivers of a city."""
     numbers, wholes = np.empty((NUMBERS, cars.shape[1])), np.empty((WHOLES, cars.shape[1]), np.int64)
     places = np.empty((cars.shape[1], lanes.table.shape[0]))
@@ -139,7 +148,7 @@ def run_city(first, last, rows, frames, codes, cars, drivers, egos, motions, lan
         here = cars[e, : egos[e].vehicles]
         v = _begin(e, codes, here, drivers[e], egos[e], lanes, traffic, numbers, wholes)
         _city(frames, v, here, egos[e], motions[e], lanes, rules[0], traffic, places)
-        store(v, here, drivers[e])
+        _end(v, here, drivers[e], egos[e], lanes, rules[0], traffic.world[0], ends)
 
 
 @jit(borrows=True)

@@ -22,6 +22,7 @@ from lanebound.envs.vector.start_kernel import clear_rows, seat_rows
 from lanebound.envs.vector.support import require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
 from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.compile_ahead import compile_beside
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT
@@ -123,6 +124,7 @@ class Engine:
         self._begun = np.zeros(count, dtype=np.bool_)  # whether an environment has had an episode
         self._ahead = max(1, PREPARED // count)
         self._waits = np.zeros(count, dtype=np.int64)  # how many next ones are ready
+        compile_beside(self._kernel, 0, 0, *self._to_drive(self._everyone, 1, True, self.codes))
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the functions of the world."""
@@ -202,9 +204,10 @@ class Engine:
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
         nearest = np.minimum(np.maximum(np.rint(share * (speeds.size - 1)), 0), speeds.size - 1).astype(np.int64)
         episodes.ego["belief"]["target_speed_mps"][rows] = speeds[nearest]
-        self._judge(episodes, rows, start=True)
-        episodes.score(rows, start=True)
-        episodes.observe(rows, start=True)
+        judge_rows(
+            0, rows.size, rows, episodes.cars, episodes.ego, episodes.table.lanes, episodes.rules, self.world, True
+        )
+        episodes.score_and_observe(rows, start=True)
         for row in rows.tolist():
             del self._drawn[waits, row]
 
@@ -227,29 +230,29 @@ class Engine:
         else:
             self._take_up(actions)
         frames = self.frames if e.epoch_steps is None else e.epoch_steps
-        for _ in range(0, self.frames, frames):
-            self._drive(where, frames, codes)
+        for frame in range(0, self.frames, frames):
+            self._drive(where, frames, frame + frames == self.frames, codes)
             codes = NO_CODES
             if e.epoch_steps is not None:
                 e.sense(where)
                 e.locate(where)
                 e.perceive(where, e.times_s[where])
-        self._judge(e, where, start=False)
-        e.score(where, start=False)
-        e.observe(where, start=False)
+        e.score_and_observe(where, start=False)
 
-    def _drive(self, rows: Rows, frames: int, codes: Rows) -> None:
-        """Simulation steps of all vehicles, in which egos carry out meta-actions ``codes``, if there are any."""
+    def _drive(self, rows: Rows, frames: int, ends: bool, codes: Rows) -> None:
+        """Simulation steps of all vehicles, in which egos carry out meta-actions ``codes``, if there are any.
+
+        Where the policy step ``ends`` with them, end rules and reward of the wrapped world judge it.
+        """
+        row_us = VEHICLE_FRAME_US * frames * self.episodes.cars.shape[1]
+        run_rows(self._kernel, rows.size, *self._to_drive(rows, frames, ends, codes), row_us=row_us)
+
+    def _to_drive(self, rows: Rows, frames: int, ends: bool, codes: Rows) -> tuple[Any, ...]:
+        """Arguments of the kernels of :mod:`.drive_kernel`."""
         e, stage = self.episodes, self._stage
-        run_rows(
-            self._kernel, rows.size, rows, frames, codes, e.cars, stage.drivers, e.ego, e.motions, e.table.lanes,
-            e.rules, stage.traffic, row_us=VEHICLE_FRAME_US * frames * e.cars.shape[1],
+        return (
+            rows, frames, ends, codes, e.cars, stage.drivers, e.ego, e.motions, e.table.lanes, e.rules, stage.traffic,
         )  # fmt: skip
-
-    def _judge(self, episodes: Episodes, rows: Rows, start: bool) -> None:
-        """End rules and reward of the wrapped world after a step."""
-        e = episodes
-        judge_rows(0, rows.size, rows, e.cars, e.ego, e.table.lanes, e.rules, self.world, start)
 
     def _take_up(self, actions: NDArray[Any]) -> None:
         """Continuous commands in physical units, in the precision of the action as highway-env maps it."""

@@ -9,7 +9,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import record
 
-__all__ = ["NO_REWARD", "OF_HIGHWAY", "OF_ROADS", "WORLD", "judge_rows"]
+__all__ = ["NO_REWARD", "OF_HIGHWAY", "OF_ROADS", "WORLD", "judge", "judge_rows"]
 
 NO_REWARD, OF_HIGHWAY, OF_ROADS = 0, 1, 2  # kinds of rewards
 
@@ -34,14 +34,14 @@ WORLD = record(
 
 @jit(borrows=True)
 def judge_rows(first, last, rows, cars, egos, lanes, rules, world, start):  # type: ignore[no-untyped-def]
-    """Fill the facts of a policy step: ends and reward of the wrapped world; of a start, where no time has passed."""
+    """:func:`judge` for environments ``rows[first:last]``."""
     for e in rows[first:last]:
-        _judge(cars[e, 0], egos[e], lanes, rules[0], world[0], start)
+        judge(cars[e, 0], egos[e], lanes, rules[0], world[0], start)
 
 
 @jit(borrows=True)
-def _judge(car, ego, lanes, rules, world, start):  # type: ignore[no-untyped-def]
-    """:func:`judge_rows` for one environment."""
+def judge(car, ego, lanes, rules, world, start):  # type: ignore[no-untyped-def]
+    """Fill the facts of a policy step: ends and reward of the wrapped world; of a start, where no time has passed."""
     sc, facts, policy = ego.score, ego.facts, rules.policy_s
     lane, speed, crashed = car.lane, car.speed, car.crashed != 0
     s, r, direction = local(lanes, lane, car.x, car.y)

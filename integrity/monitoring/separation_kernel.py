@@ -365,7 +365,7 @@ def _remove_subset(
     modes.separation[0, column], modes.separation[1, column] = d_at, d_ct
 
 
-@jit
+@jit(inline=True)
 def _replace_biases(
     group: Ints, n: int, count: int, sin_h: float, cos_h: float, geo: Geometry, moments: Moments, modes: Modes
 ) -> None:

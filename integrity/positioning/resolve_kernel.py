@@ -75,7 +75,7 @@ from lanebound.integrity.positioning.rtk_kernel import (
     owner_of,
 )
 
-__all__ = ["FloatSource", "add_held", "attempt", "base_of", "others_probability", "resolve"]
+__all__ = ["FloatSource", "add_held", "attempt", "others_probability", "resolve", "source_of"]
 
 Array = NDArray[np.float64]
 
@@ -213,11 +213,16 @@ def add_held(carriers: Carriers, ambiguities: Records, rules: Any, x: Array, q: 
 
 
 @jit
-def base_of(carriers: Carriers, ambiguities: Records, bands: int) -> Records:
-    """The clocks that the held satellites give, (MAX_GROUPS,) of BASE."""
+def source_of(
+    carriers: Carriers, ambiguities: Records, bands: int, x: Array, q: Array, own: FloatFilters | None, filtered: bool
+) -> FloatSource:
+    """The source with the clocks that the held satellites give.
+
+    A function of its own, as ``x`` may be the field of a record: :func:`attempt` would be compiled for it once more.
+    """
     base = np.zeros(MAX_GROUPS, BASE)
     held_base(carriers, ambiguities, bands, base)
-    return base
+    return FloatSource(x, q, base, own, filtered)
 
 
 @jit
@@ -288,7 +293,7 @@ def choose(
     return FIXED, groups, rate
 
 
-@jit
+@jit(inline=True)
 def accept(
     floats: Floats, groups: int, rate: float, limit: float, rules: Any, scratch: SearchScratch
 ) -> tuple[int, float]:  # fmt: skip
@@ -352,7 +357,7 @@ def relief(pull: Array, weight: Array, own: Array, column: Ints, columns: int) -
     return norm
 
 
-@jit
+@jit(inline=True)
 def suspect(
     floats: Floats, groups: int, ambiguities: Records, chosen: Bools, carriers: Carriers, bands: int, best: Array,
     relieved: Array,
@@ -462,9 +467,8 @@ def resolve(
     """
     if not add_held(carriers, ambiguities, rules, x, q):
         return TOO_FEW, 1.0
-    base, n_sat = base_of(carriers, ambiguities, rules.bands), candidate.shape[0]
+    n_sat, source = candidate.shape[0], source_of(carriers, ambiguities, rules.bands, x, q, own, filtered)
     chosen, relieved, unread = np.empty(n_sat, dtype=np.bool_), np.empty(n_sat), np.empty(n_sat)
-    source = FloatSource(x, q, base, own, filtered)
     left = rules.fix_limit - held_risk(ambiguities)
     first, rest = FIRST_SHARE * left, (1.0 - FIRST_SHARE) * left
     status, rate, sets = attempt(carriers, candidate, ambiguities, source, rules, first, next_id, 0.0, chosen, relieved)

@@ -109,7 +109,7 @@ def _predicted_sigma(x: float, y: float, z: float, q: Array, dt: float, known: b
     return math.sqrt(variance * dt * dt + drift * drift)
 
 
-@jit
+@jit(inline=True)
 def _repair(
     s: int, change: Changes, deviation: Deviations, carriers: Carriers, ambiguities: Records, rtk: Any, slips: Any,
     next_id: int,
@@ -160,7 +160,7 @@ def _judge(
         known = False
 
 
-@jit
+@jit(inline=True)
 def watch_slips(
     carriers: Carriers, marks: Records, age: float, motion: DopplerMotion, ambiguities: Records, rtk: Any,
     slips: Any, watch: Any, next_id: int,

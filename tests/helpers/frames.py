@@ -12,7 +12,7 @@ from lanebound.envs.batch.perception import PerceptionBatch
 from lanebound.envs.batch.records_kernel import BELIEF, PERCEIVED
 from lanebound.envs.batch.route_map import routes_of
 from lanebound.envs.batch.rules import rules_of
-from lanebound.envs.batch.view_kernel import derive, fill_frame
+from lanebound.envs.batch.view_kernel import derive, fill_frame, words_of
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation import Observation, Observer
 from lanebound.envs.records import EgoBelief, Traffic
@@ -53,11 +53,11 @@ class Viewer:
         known["path"] = e.routes.row(lane, route)
         for name in BELIEF.names or ():
             e.ego["shown"][name] = known[name] if name in known else getattr(ego, name)
-        e.sky[:] = -1.0 if sky is None else np.ravel(sky)
+        e.views.sky[:] = -1.0 if sky is None else np.ravel(sky)
         seen = _perceived(traffic)
         e.ego["score"]["observed"] = self._seen
-        derive(e.ego[0], seen, seen.size, e.table.lanes, e.routes.map, e.rules[0], e._integrity, 0, e.views)
-        fill_frame(e._sources, e._words, 0, e.ego["own"][0], e.frame[0])
+        derive(e.ego[0], seen, seen.size, e.table.lanes, e.routes.map, e.rules[0], 0, e.views)
+        fill_frame(e._sources, words_of(e.ego, e.views), 0, e.ego["own"][0], e.frame[0])
         self._seen += 1
         return e.frame[0]
 

@@ -144,7 +144,7 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
                 levels[r, 1] += lever_ct
 
 
-@jit
+@jit(inline=True)
 def _solve_fixed(
     carriers: Carriers, rows: Records, ambiguities: Records, age: float, tables: Tables, par: Any, vehicle: Any,
     w: Any, scratch: FixedScratch,

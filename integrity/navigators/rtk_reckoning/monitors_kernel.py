@@ -156,7 +156,7 @@ def reference_point(fixed: Any, lever: Any, sin_h: float, cos_h: float) -> tuple
     return east, fixed.position[1] - cos_h * lever.forward + sin_h * lever.right
 
 
-@jit
+@jit(inline=True)
 def _use_backup(
     vehicle: Any, starts: Records, faults: Any, tables: Tables, par: Any, w: Any, found: Array, pl: Array
 ) -> None:

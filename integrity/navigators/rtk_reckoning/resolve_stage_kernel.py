@@ -14,7 +14,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Bools, E
 from lanebound.integrity.positioning.codes_kernel import FIXED, NO_CORRECTIONS, NOT_CONVERGED, RATIO_FAILED
 from lanebound.integrity.positioning.float_filter_kernel import FloatFilters, filter_of
 from lanebound.integrity.positioning.reflection_odds_kernel import LARGEST_SET, find_sets
-from lanebound.integrity.positioning.resolve_kernel import FloatSource, add_held, attempt, base_of, resolve
+from lanebound.integrity.positioning.resolve_kernel import add_held, attempt, resolve, source_of
 from lanebound.integrity.positioning.rows_kernel import ROW
 from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_code, drop_small_systems, has_atmosphere
 
@@ -186,7 +186,7 @@ def _confirm(
         if not add_held(carriers, trial, rules, position, q):
             return False
         limit = min(CONFIRM_SHARE * rules.fix_limit / (prior * number), MOST_FAILURES)
-        source = FloatSource(position, q, base_of(carriers, trial, rules.bands), own, False)
+        source = source_of(carriers, trial, rules.bands, position, q, own, False)
         status, _, _ = attempt(carriers, rest, trial, source, rules, limit, vehicle.rtk.fixes, 0.0, chosen, relieved)
         if status != FIXED or not _agree(carriers.satellites, rest, trial, before, ambiguities, rules.bands):
             return False

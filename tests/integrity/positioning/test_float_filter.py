@@ -25,7 +25,7 @@ from lanebound.integrity.positioning.float_filter_kernel import (
     invert_positive,
 )
 from lanebound.integrity.positioning.parameters import rtk_parameters
-from lanebound.integrity.positioning.resolve_kernel import FloatSource, base_of, float_solution, resolve
+from lanebound.integrity.positioning.resolve_kernel import float_solution, resolve, source_of
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, SATELLITE, Carriers
 from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
@@ -169,7 +169,7 @@ def test_one_epoch_gives_the_float_solution_of_that_epoch() -> None:
     cov = CODE_M**2 * np.linalg.inv(g.T @ g)
     place = (cov @ g.T @ code.ravel() / CODE_M**2)[:3]
     empty = np.zeros(N, AMBIGUITY)
-    source = FloatSource(place, np.ascontiguousarray(cov[:3, :3]), base_of(carriers, empty, 2), s.own, False)
+    source = source_of(carriers, empty, 2, place, np.ascontiguousarray(cov[:3, :3]), s.own, False)
     wanted = float_solution(carriers, np.ones(N, np.bool_), empty, source, s.own, s.rules)
     assert owner.tolist() == wanted.owner[: wanted.n].tolist()
     np.testing.assert_allclose(a, wanted.ambiguity[: wanted.n], atol=1e-5)

@@ -15,7 +15,7 @@ from signal_records import records_of, rows_of
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, TOO_FEW
 from lanebound.integrity.positioning.parameters import rtk_parameters
-from lanebound.integrity.positioning.resolve_kernel import FloatSource, base_of, float_solution, resolve, suspect
+from lanebound.integrity.positioning.resolve_kernel import float_solution, resolve, source_of, suspect
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import (
     AMBIGUITY,
@@ -315,7 +315,7 @@ def test_the_norm_relieved_is_what_is_lost_when_the_satellite_is_left_out() -> N
     rules, carriers = rtk_parameters(RtkConfig(), 2, 1.0)[0], p.carriers
     x, q = p._code_position(2)
     everything = np.ones(N_SAT, dtype=np.bool_)
-    source = FloatSource(x, q, base_of(carriers, p.fixes, 2), None, False)
+    source = source_of(carriers, p.fixes, 2, x, q, None, False)
     floats = float_solution(carriers, everything, p.fixes, source, None, rules)
     n, best, relieved = floats.n, np.round(floats.ambiguity), np.empty(N_SAT)
     count = suspect(floats, n // 2, p.fixes, everything, carriers, 2, best, relieved)
