@@ -77,6 +77,7 @@ class Episodes:
     Attributes
     ----------
     ego : (N,) EGO
+    path_of : (Q, L) row of the path from each lane, by ``ego["route"]``
     sky : (N, 3 D) satellites predicted ahead, negative for unknown
     frame : (N, E) float32, the newest observations
     epoch_steps : simulation steps in an epoch; None where all steps are alike: nothing is sensed, no position is off
@@ -94,7 +95,7 @@ class Episodes:
         self.config, self.rules, self.routes = config, rules, routes
         self.cars, self.navigation, self.perception = cars, navigation, perception
         o, n = config.observation, len(cars)
-        self.path_of: Rows = np.arange(len(routes.table.index))
+        self.path_of: Rows = np.arange(len(routes.table.index))[None]
         self.index = entries(o)
         self._sources = sources_of(self.index)
         self._extra = [(place, entry) for place, entry in enumerate(self.index) if callable(entry.source)]
@@ -138,6 +139,11 @@ class Episodes:
         return self.routes.table
 
     @property
+    def ego_is_sensed(self) -> bool:
+        """Whether the positions of the egos are sensed, not given."""
+        return self._sensed
+
+    @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """Those that have a row for each environment, but for what navigates."""
         views = self.views.preview, self.views.vehicles, self.views.trail
@@ -153,7 +159,9 @@ class Episodes:
         """``count`` episodes of the same configuration, before any start."""
         cars = empty_cars(count, self.cars.shape[1])
         navigation = None if self.navigation is None else self.navigation.another(count)
-        return Episodes(self.config, self.rules, self.routes, cars, navigation, self.perception.another(count))
+        other = Episodes(self.config, self.rules, self.routes, cars, navigation, self.perception.another(count))
+        other.path_of = self.path_of
+        return other
 
     @property
     def times_s(self) -> Array:

@@ -149,19 +149,20 @@ def score_rows(  # type: ignore[no-untyped-def]
 ):
     """Place the beliefs on the egos' own maps, score the step, or a start, and find what is shown of the egos.
 
-    picture (N,) PICTURE, perceived (N, P) PERCEIVED; path_of (L,): row of the path from each lane by the present route;
+    picture (N,) PICTURE, perceived (N, P) PERCEIVED; path_of (Q, L): row of the path from each lane, by what is
+    left of the route;
     ``sees_truth``: traffic is perceived as it is; integrity: FULL, BLIND, or ORACLE, by which the truth is shown.
     """
     for e in rows[first:last]:
         ego, here, seen = egos[e], cars[e, : egos[e].vehicles], perceived[e]
         b = ego.belief
-        locate(b, lanes, path_of, rules[0])
+        locate(b, lanes, path_of[ego.route], rules[0])
         if sees_truth:
             picture[e].seen = see_truth(here, b.x_m, b.y_m, False, seen)
         score(b, ego.score, here, seen, picture[e].seen, lanes, ego.facts, rules[0], start, ego.outcome)
         ego.shown = b
         if integrity == ORACLE:
-            true_view(here[0], lanes, path_of, rules[0], ego.shown)
+            true_view(here[0], lanes, path_of[ego.route], rules[0], ego.shown)
 
 
 @jit

@@ -15,40 +15,49 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.batch.ego_kernel import decide
+from lanebound.envs.batch.ego_kernel import decide, follow_road
+from lanebound.envs.batch.next_lane_kernel import keep_to_route
+from lanebound.envs.batch.records_kernel import GIVEN
 from lanebound.envs.batch.rows_kernel import carry_on
-from lanebound.envs.vector.city_kernel import decide_all, drive_city, place_all
 from lanebound.envs.vector.collisions_kernel import collide_all, collide_sorted
 from lanebound.envs.vector.course_kernel import drive_profiles
 from lanebound.envs.vector.drivers_kernel import (
     NUMBERS,
     WHOLES,
     command_ego,
+    fill_onward,
     load,
     move_ego,
+    place_objects,
     show,
     store,
     vehicles_in,
     wander_all,
 )
 from lanebound.envs.vector.motorway_kernel import accelerate, change_lanes, drive_others, sort_along, survey
+from lanebound.envs.vector.network_kernel import decide_all, drive_network, place_all
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 
-__all__ = ["TrafficFigures", "run_city", "run_course", "run_motorway"]
+__all__ = ["TrafficFigures", "run_course", "run_motorway", "run_network"]
 
 
 class TrafficFigures(NamedTuple):
     """The parameters of the motion of vehicles.
 
     world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, S): prescribed speeds of other vehicles [m/s],
-    by simulation step; wander (S, K) [m]: shapes over time of the others' lines in their lanes, by simulation step.
+    by simulation step; wander (S, K) [m]: shapes over time of the others' lines in their lanes, by simulation step; idm
+    (1,) DRIVERS: of the others on a network of roads; routes (Q,) STEP: all that are planned; objects (O,) CAR: what
+    stands on the road.
     """
 
     world: Records
     speeds: NDArray[np.float64]
     profile: NDArray[np.float64]
     wander: NDArray[np.float64]
+    idm: Records
+    routes: Records
+    objects: Records
 
 
 @jit
@@ -66,17 +75,21 @@ def run_course(first, last, rows, frames, codes, cars, drivers, egos, motions, l
 def _begin(e, codes, cars, drivers, ego, lanes, traffic, numbers, wholes):  # type: ignore[no-untyped-def]
     """The vehicles of environment e as they begin to drive, with its meta-action taken up."""
     if codes.size > 0:
+        follow_road(ego, lanes, traffic.routes)
         decide(ego.belief, codes[e], lanes, traffic.speeds)
-    v = vehicles_in(numbers, wholes, cars.shape[0])
+    v = vehicles_in(numbers, wholes, cars.shape[0] + traffic.objects.shape[0])
     load(cars, drivers, v)
+    place_objects(v, cars.shape[0], traffic.objects)
     return v
 
 
 @jit(inline=True)
-def _conclude(v, cars, ego, motions, lanes, rules, ends_epoch):  # type: ignore[no-untyped-def]
+def _conclude(v, cars, ego, motions, lanes, rules, traffic, ends_epoch):  # type: ignore[no-untyped-def]
     """Carry the belief of the ego on after a step; only those that navigate are seen before the end."""
     show(v, cars[: max(motions.shape[0], 1)])
     carry_on(ego, cars, motions, lanes, rules, ends_epoch)
+    if rules.source == GIVEN or not ends_epoch:  # a sensed position waits for its solution
+        keep_to_route(ego, lanes, traffic.routes, rules)
 
 
 @jit(borrows=True)
@@ -84,13 +97,13 @@ def _course(e, frames, v, cars, ego, motions, lanes, rules, traffic):  # type: i
     """:func:`run_course` for environment e."""
     world, dt = traffic.world[0], rules.step_s
     for frame in range(frames):
-        steering, acceleration, hold = command_ego(ego, v, lanes, rules)
+        steering, acceleration, hold = command_ego(ego, v, lanes, traffic.routes, rules)
         move_ego(v, steering, acceleration, hold, world, lanes, dt)
         ego.score.steps += 1
         wander_all(v, traffic.wander[min(ego.score.steps, traffic.wander.shape[0] - 1)], dt)
         drive_profiles(v, lanes, traffic.profile[e], ego.score.steps, dt)
-        collide_all(v, dt)
-        _conclude(v, cars, ego, motions, lanes, rules, frame + 1 == frames)
+        collide_all(v, cars.shape[0], 0, dt)
+        _conclude(v, cars, ego, motions, lanes, rules, traffic, frame + 1 == frames)
 
 
 @jit
@@ -117,7 +130,7 @@ def _motorway(frames, v, cars, ego, motions, lanes, rules, traffic, scratch):  #
     newest, held, pairs, slip, front = scratch
     world, dt = traffic.world[0], rules.step_s
     for frame in range(frames):
-        steering, acceleration, hold = command_ego(ego, v, lanes, rules)
+        steering, acceleration, hold = command_ego(ego, v, lanes, traffic.routes, rules)
         survey(v, lanes.table, newest, held)
         change_lanes(v, lanes.table, rules.meta != 0)
         accelerate(v, lanes.table, front)
@@ -127,32 +140,34 @@ def _motorway(frames, v, cars, ego, motions, lanes, rules, traffic, scratch):  #
         drive_others(v, lanes.table, dt, slip)
         sort_along(v)
         collide_sorted(v, dt, pairs)
-        _conclude(v, cars, ego, motions, lanes, rules, frame + 1 == frames)
+        _conclude(v, cars, ego, motions, lanes, rules, traffic, frame + 1 == frames)
 
 
 @jit
-def run_city(first, last, rows, frames, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
-    """The drivers of a city."""
-    numbers, wholes = np.empty((NUMBERS, cars.shape[1])), np.empty((WHOLES, cars.shape[1]), np.int64)
-    places = np.empty((cars.shape[1], lanes.table.shape[0]))
+def run_network(first, last, rows, frames, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
+    """The drivers of a network of roads."""
+    places = cars.shape[1] + traffic.objects.shape[0]
+    numbers, wholes = np.empty((NUMBERS, places)), np.empty((WHOLES, places), np.int64)
+    stations = np.empty((places, lanes.table.shape[0]))
     for e in rows[first:last]:
         here = cars[e, : egos[e].vehicles]
         v = _begin(e, codes, here, drivers[e], egos[e], lanes, traffic, numbers, wholes)
-        _city(frames, v, here, egos[e], motions[e], lanes, rules[0], traffic, places)
+        _network(frames, v, here, drivers[e], egos[e], motions[e], lanes, rules[0], traffic, stations)
         store(v, here, drivers[e])
+        fill_onward(here, drivers[e], egos[e], lanes, traffic.routes)
 
 
 @jit(borrows=True)
-def _city(frames, v, cars, ego, motions, lanes, rules, traffic, places):  # type: ignore[no-untyped-def]
-    """:func:`run_city` for one environment; places (V, L) is scratch."""
-    world, dt = traffic.world[0], rules.step_s
+def _network(frames, v, cars, drivers, ego, motions, lanes, rules, traffic, stations):  # type: ignore[no-untyped-def]
+    """:func:`run_network` for one environment; stations (V, L) is scratch."""
+    world, idm, routes, dt, count = traffic.world[0], traffic.idm[0], traffic.routes, rules.step_s, cars.shape[0]
     for frame in range(frames):
-        steering, acceleration, hold = command_ego(ego, v, lanes, rules)
-        place_all(v, lanes, places)
-        decide_all(v, lanes, places, rules.meta != 0)
+        steering, acceleration, hold = command_ego(ego, v, lanes, routes, rules)
+        place_all(v, lanes, stations)
+        decide_all(v, count, drivers, lanes, routes, stations, idm, rules.meta != 0)
         move_ego(v, steering, acceleration, hold, world, lanes, dt)
         ego.score.steps += 1
         wander_all(v, traffic.wander[min(ego.score.steps, traffic.wander.shape[0] - 1)], dt)
-        drive_city(v, lanes, dt)
-        collide_all(v, dt)
-        _conclude(v, cars, ego, motions, lanes, rules, frame + 1 == frames)
+        drive_network(v, count, lanes, idm, dt)
+        collide_all(v, count, ego.place, dt)
+        _conclude(v, cars, ego, motions, lanes, rules, traffic, frame + 1 == frames)

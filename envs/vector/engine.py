@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.ego_kernel import FASTER, IDLE, LEFT, RIGHT, SLOWER
 from lanebound.envs.batch.episodes import Episodes, copy_rows
-from lanebound.envs.batch.lanes_kernel import PAST_END_M
+from lanebound.envs.batch.lanes_kernel import NONE, PAST_END_M
+from lanebound.envs.batch.next_lane_kernel import keep_rows
 from lanebound.envs.core import EPISODE_SEEDS, WORLD_SEEDS, DrivingEnv
 from lanebound.envs.scene import begin_all, duration_s, make_batch
 from lanebound.envs.vector.drive_kernel import TrafficFigures
 from lanebound.envs.vector.drivers_kernel import DRIVER
 from lanebound.envs.vector.start_kernel import clear_rows, seat_rows
-from lanebound.envs.vector.support import require_supported, support_of, traffic_of
+from lanebound.envs.vector.support import drivers_of, objects_of, require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT
 
@@ -48,7 +48,9 @@ class Stage:
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
         profile = np.zeros((len(episodes.cars), engine.support.profile_steps(engine.single.world)))
         self.episodes, self.drivers = episodes, np.zeros(episodes.cars.shape, DRIVER)
-        self.traffic = TrafficFigures(engine.world, engine.speeds, profile, engine.wander)
+        self.traffic = TrafficFigures(
+            engine.world, engine.speeds, profile, engine.wander, engine.idm, engine.plans.steps, engine.objects
+        )
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
@@ -86,6 +88,9 @@ class Engine:
     codes : (A,) code of each meta-action of the action space, none under continuous actions
     speeds : target speeds of meta-actions
     wander : shapes over time of the other drivers' lines in their lanes (S, K), by simulation step
+    idm : (1,) DRIVERS, parameters of the other drivers
+    plans : routes that the vehicles may have
+    objects : (O,) CAR, what stands on the road
 
     Raises
     ------
@@ -112,11 +117,10 @@ class Engine:
         self._drawn: dict[tuple[bool, int], tuple[int, int]] = {}  # by whether it is to wait, and its row
         vehicles = self.support.vehicles(single.world)
         episodes = make_batch(single.world, config, count, vehicles)
-        if not episodes.table.goes_one_way:
-            raise ConfigError(
-                "base must have roads without forks and without ending lanes in the vector engine, got "
-                f"{config.base!r}: choose another id, or make single environments"
-            )
+        self.idm, self.objects = drivers_of(self.support, single.world), objects_of(single.world, episodes.table)
+        self.plans = self.support.plans(single.world, episodes.table)
+        self._routed = self.plans.own > 1 and episodes.ego_is_sensed
+        episodes.path_of = self.plans.paths(episodes.routes)
         self._start = self.support.starter(single.world, episodes.table)
         self._stage = Stage(self, episodes)
         self._next: Stage | None = None
@@ -140,6 +144,7 @@ class Engine:
         slowest, fastest = getattr(inner, "speed_range", None) or (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED)
         figures: dict[str, Any] = dict.fromkeys(WORLD.names or (), 0.0)
         figures |= {"speed_least_mps": slowest, "speed_most_mps": fastest, "end_m": -1.0}
+        figures |= {"ends_x_m": math.inf, "goal_road": NONE}
         figures |= {"episode_s": duration_s(config, self.single.world)}
         return one_record(WORLD, **(figures | dict(self.support.ends(self.single.world))))
 
@@ -202,7 +207,8 @@ class Engine:
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
         nearest = np.minimum(np.maximum(np.rint(share * (speeds.size - 1)), 0), speeds.size - 1).astype(np.int64)
         episodes.ego["belief"]["target_speed_mps"][rows] = speeds[nearest]
-        self._judge(episodes, rows, start=True)
+        keep_rows(rows, episodes.ego, episodes.table.lanes, self.plans.steps, episodes.rules)
+        self._judge(episodes, stage.drivers, rows, start=True)
         episodes.score(rows, start=True)
         episodes.observe(rows, start=True)
         for row in rows.tolist():
@@ -217,7 +223,8 @@ class Engine:
             generator = seeding.np_random(seed)[0]
             ego["vehicles"][e] = self._start(generator, cars[e], drivers[e], traffic.profile[e])
         states = wander.states(seeds) if wander.wanders else None
-        seat_rows(rows, cars, drivers, ego, traffic.wander, states, ZIGGURAT)
+        lanes = stage.episodes.table.lanes
+        seat_rows(rows, cars, drivers, ego, traffic.wander, states, ZIGGURAT, lanes, traffic.routes)
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""
@@ -226,6 +233,8 @@ class Engine:
             codes = self.codes[actions]
         else:
             self._take_up(actions)
+        if self.support.effort is not None:
+            e.ego["command"]["effort"] = self.support.effort(self.single.world, actions)
         frames = self.frames if e.epoch_steps is None else e.epoch_steps
         for _ in range(0, self.frames, frames):
             self._drive(where, frames, codes)
@@ -233,8 +242,10 @@ class Engine:
             if e.epoch_steps is not None:
                 e.sense(where)
                 e.locate(where)
+                if self._routed:
+                    keep_rows(where, e.ego, e.table.lanes, self.plans.steps, e.rules)
                 e.perceive(where, e.times_s[where])
-        self._judge(e, where, start=False)
+        self._judge(e, self.drivers, where, start=False)
         e.score(where, start=False)
         e.observe(where, start=False)
 
@@ -246,10 +257,10 @@ class Engine:
             e.rules, stage.traffic, row_us=VEHICLE_FRAME_US * frames * e.cars.shape[1],
         )  # fmt: skip
 
-    def _judge(self, episodes: Episodes, rows: Rows, start: bool) -> None:
+    def _judge(self, episodes: Episodes, drivers: Records, rows: Rows, start: bool) -> None:
         """End rules and reward of the wrapped world after a step."""
         e = episodes
-        judge_rows(0, rows.size, rows, e.cars, e.ego, e.table.lanes, e.rules, self.world, start)
+        judge_rows(0, rows.size, rows, e.cars, drivers, e.ego, e.table.lanes, e.rules, self.world, start)
 
     def _take_up(self, actions: NDArray[Any]) -> None:
         """Continuous commands in physical units, in the precision of the action as highway-env maps it."""
@@ -268,6 +279,8 @@ class Engine:
         there = (s >= 0.0) & (s < own["length_m"] + PAST_END_M)
         left = (own["side"] > 0) & (np.abs(aside + width) <= 2.0 * width)
         right = (own["side"] < own["count"] - 1) & (np.abs(aside - width) <= 2.0 * width)
+        free = self.episodes.table.lanes.table["forbidden"] == 0
+        left, right = left & free[b["lane"] - 1], right & free[np.minimum(b["lane"] + 1, free.size - 1)]
         speed, every = b["target_speed_mps"], np.ones_like(there)
         return np.stack([left & there, every, right & there, speed < wanted[-1], speed > wanted[0]], -1)
 

@@ -5,22 +5,31 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.vehicle.objects import Landmark
+
+from lanebound.envs.batch.episodes import empty_cars
+from lanebound.envs.batch.lanes import LaneTable
 from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.vector.drive_kernel import run_city, run_course, run_motorway
+from lanebound.envs.vector.drive_kernel import run_course, run_motorway, run_network
+from lanebound.envs.vector.network_kernel import DRIVERS
 from lanebound.envs.worlds import Support, world_kind, world_kinds
-from lanebound.envs.worlds.idm_parameters_kernel import BRISK, CALM, IdmParameters
+from lanebound.envs.worlds.idm_parameters_kernel import BRISK, CALM, IdmParameters, idm_parameters
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.records import Records, one_record
 
-__all__ = ["require_supported", "support_of", "traffic_of"]
+__all__ = ["drivers_of", "objects_of", "require_supported", "support_of", "traffic_of"]
 
 INSTEAD = "or make the same environments with vectorization_mode='sync' or 'async', for SB3 as DummyVecEnv"
 TRAFFIC: dict[str, tuple[Any, IdmParameters | None]] = {
     "course": (run_course, None),
-    "city": (run_city, CALM),
+    "city": (run_network, CALM),
+    "network": (run_network, BRISK),
     "motorway": (run_motorway, BRISK),
 }
-"""Kinds of compiled traffic: entry kernel, and the parameters of drivers that are compiled in."""
+"""Kinds of compiled traffic: entry kernel, and the parameters that the drivers of the world must have."""
 
 
 def support_of(config: EnvConfig) -> Support:
@@ -47,14 +56,42 @@ def traffic_of(support: Support) -> Any:
     return TRAFFIC[support.traffic][0]
 
 
+def drivers_of(support: Support, world: AbstractEnv) -> Records:
+    """Parameters of the other drivers on a network of roads, (1,) DRIVERS; zeros where there are none."""
+    kind = support.drivers
+    if kind is None:
+        return np.zeros(1, DRIVERS)
+    idm = idm_parameters(
+        kind.DISTANCE_WANTED, kind.TIME_WANTED, kind.COMFORT_ACC_MAX, -kind.COMFORT_ACC_MIN, kind.LANE_CHANGE_DELAY,
+        kind.LANE_CHANGE_MIN_ACC_GAIN,
+    )  # fmt: skip
+    return one_record(
+        DRIVERS,
+        **idm._asdict(),
+        reaction_s=getattr(kind, "REACTION_S", 0.0),
+        stops=getattr(kind, "STOPS", False),
+        joined=bool(world.config["neighbour_vehicles_connected_lanes"]),
+    )
+
+
+def objects_of(world: AbstractEnv, table: LaneTable) -> Records:
+    """What stands on the road of a world, (O,) CAR."""
+    found = [thing for thing in world.road.objects if not isinstance(thing, Landmark)]
+    out = empty_cars(1, len(found))[0]
+    for car, thing in zip(out, found, strict=True):
+        (car["x"], car["y"]), car["heading"] = thing.position, thing.heading
+        car["length"], car["width"], car["lane"] = thing.LENGTH, thing.WIDTH, table.row[thing.lane_index]
+    return out
+
+
 def require_supported(single: DrivingEnv) -> None:
     """Raise ConfigError for an option that the engine does not have; the message names the alternatives."""
     config, world = single.config, single.world
     support = support_of(config)
     _require_sources(config)
     kind = world_kind(config.base)
-    if kind is not None and kind.arrived is not None:
-        raise _refusal("base", "a world without a goal", config.base)
+    if kind is not None and kind.arrived is not None and "goal_road" not in support.ends(world):
+        raise _refusal("base", "a world without a goal, or whose support declares it", config.base)
     for name, allowed, value in support.refusals(world):
         raise _refusal(name, allowed, value)
     idm = TRAFFIC.get(support.traffic, (None, None))[1]

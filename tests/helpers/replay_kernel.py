@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lanebound.envs.batch.ego_kernel import decide
+from lanebound.envs.batch.ego_kernel import decide, follow_road
 from lanebound.envs.batch.rows_kernel import carry_on
 from lanebound.envs.vector.drivers_kernel import NUMBERS, WHOLES, command_ego, load, vehicles_in
 from lanebound.integrity.core.accel import jit
@@ -28,10 +28,11 @@ def run_replay(first, last, rows, frames, codes, cars, drivers, egos, motions, l
         here = cars[e, : ego.vehicles]
         v = vehicles_in(numbers, wholes, ego.vehicles)
         if codes.size > 0:
+            follow_road(ego, lanes, traffic.routes)
             decide(ego.belief, codes[e], lanes, traffic.speeds)
         for frame in range(frames):
             load(here, drivers[e], v)
-            command_ego(ego, v, lanes, rules[0])
+            command_ego(ego, v, lanes, traffic.routes, rules[0])
             poses = traffic.profile[e].reshape(steps, 6, places)[ego.score.steps % steps]
             for i in range(here.shape[0]):
                 car = here[i]
