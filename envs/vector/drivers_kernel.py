@@ -19,7 +19,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
 
 __all__ = ["DRIVER", "NUMBERS", "SPEED_MOST_MPS", "WHOLES", "Vehicles", "clear", "command_ego", "fill_onward",
-           "load", "move_ego", "place_objects", "roll", "seat", "show", "steer_along", "store", "vehicles_in", "wander_all"]  # fmt: skip
+           "load", "move_ego", "move_line", "place_objects", "roll", "seat", "show", "steer_along", "store", "vehicles_in", "wander_all"]  # fmt: skip
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -39,6 +39,9 @@ DRIVER = record(
     struck=("i8", "1 from a crash to the next step"),
     order=("i8", "the vehicle in this place along the road, which need not be this one"),
     route=("i8", "row of the first step that is left of its route, 0 for none"),
+    way=("i8", "row of its way through a crossing, NONE for none"),
+    may_enter=("i8", "1 where it goes through"),
+    entered=("i8", "simulation step of the episode at which it entered"),
     wander=("f8", (WANDER_SHAPES,), "weights of the shapes of its line over time, see :mod:`..worlds.wander`"),
 )
 """State of the control of a vehicle of compiled traffic."""
@@ -153,7 +156,8 @@ def clear(cars, drivers, length, width):  # type: ignore[no-untyped-def]
         car.lane = car.crashed = 0
         driver.target_speed = driver.timer = driver.delta = 0.0
         driver.impact_x = driver.impact_y = driver.aside = 0.0
-        driver.target = driver.struck = driver.order = driver.route = 0
+        driver.target = driver.struck = driver.order = driver.route = driver.may_enter = driver.entered = 0
+        driver.way = NONE
 
 
 @jit(borrows=True)
@@ -237,6 +241,12 @@ def wander_all(v, shape, dt):  # type: ignore[no-untyped-def]
         line = 0.0
         for k in range(WANDER_SHAPES):  # a constant, so that the compiler takes several vehicles at once
             line += shape[k] * v.wander[k, i]
-        most = WANDER_SLOPE * max(v.speed[i], 0.0) * dt
-        wanted = min(max(line, -WANDER_MOST_M), WANDER_MOST_M) - v.aside[i]
-        v.aside[i] += min(max(wanted, -most), most)
+        move_line(v, i, line, dt)
+
+
+@jit(inline=True)
+def move_line(v, i, line, dt):  # type: ignore[no-untyped-def]
+    """Move the line of vehicle i in its lane towards ``line`` [m], as fast as the car may move aside."""
+    most = WANDER_SLOPE * max(v.speed[i], 0.0) * dt
+    wanted = min(max(line, -WANDER_MOST_M), WANDER_MOST_M) - v.aside[i]
+    v.aside[i] += min(max(wanted, -most), most)

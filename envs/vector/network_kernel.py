@@ -14,10 +14,12 @@ bits.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from lanebound.envs.batch.lanes_kernel import NOWHERE_M, advised, local, reachable, stations
 from lanebound.envs.batch.next_lane_kernel import following
-from lanebound.envs.vector.drivers_kernel import SPEED_MOST_MPS, roll, steer_along
+from lanebound.envs.vector.crossing_kernel import Crossing, follows, stop_at_line
+from lanebound.envs.vector.drivers_kernel import SPEED_MOST_MPS, move_line, roll, steer_along
 from lanebound.envs.vector.idm_kernel import (
     ACC_MOST,
     BRAKING_IMPOSED,
@@ -26,13 +28,25 @@ from lanebound.envs.vector.idm_kernel import (
     gap_wanted,
     wanted_speed,
 )
-from lanebound.envs.worlds.idm_parameters_kernel import BESIDE_M
+from lanebound.envs.worlds.idm_parameters_kernel import BESIDE_M, WANDER_SHAPES
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import record
+from lanebound.integrity.core.records import Records, record
 
-__all__ = ["DRIVERS", "decide_all", "drive_network", "place_all"]
+__all__ = ["DRIVERS", "Roads", "decide_all", "drive_network", "place_all", "wander_each"]
 
 WALKING_MPS = 1.0  # slower vehicles do not change lanes
+
+
+class Roads(NamedTuple):
+    """A network of roads beyond its lanes.
+
+    routes (Q,) STEP: all that are planned; objects (O,) CAR: what stands on the road; crossing: with a right of way.
+    """
+
+    routes: Records
+    objects: Records
+    crossing: Crossing
+
 
 DRIVERS = record(
     gap_m="wanted at standstill, middle to middle",
@@ -44,6 +58,8 @@ DRIVERS = record(
     gain="least advantage of a lane change [m/s2]",
     reaction_s="after which the speed advised for a bend is reached; 0 for drivers that do not slow down for bends",
     stops=("i8", "1 where braking ends at standstill; highway-env's own drivers reverse"),
+    most_mps2="acceleration at most, inf for no bound but that of IDMVehicle",
+    rules_every=("i8", "simulation steps between decisions on the right of way at a crossing, 0 without such a rule"),
     joined=("i8", "1 where vehicles on the roads before and after are neighbours, neighbour_vehicles_connected_lanes"),
 )
 """Parameters of the other drivers: those of ``IdmParameters`` first."""
@@ -134,11 +150,12 @@ def _bend(v, lanes, places, i, idm):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def decide_all(v, count, drivers, lanes, routes, places, idm, ego_has_target):  # type: ignore[no-untyped-def]
+def decide_all(v, count, drivers, lanes, roads, places, idm, ego_has_target):  # type: ignore[no-untyped-def]
     """The decisions of all drivers one after the other: later ones see the new targets of those before.
 
-    count: of the vehicles; the objects of the road come after them.
+    count: of the vehicles; the objects of the road come after them. roads: see :class:`Roads`.
     """
+    routes = roads.routes
     for i in range(1, count):
         if v.crashed[i] != 0:
             continue
@@ -149,7 +166,7 @@ def decide_all(v, count, drivers, lanes, routes, places, idm, ego_has_target):  
         elif v.timer[i] > idm.delay_s:
             v.timer[i] = 0.0
             _consider(v, count, lanes, places, i, routes[at], idm)
-        _accelerate(v, lanes, places, i, idm)
+        _accelerate(v, drivers, lanes, roads.crossing, places, i, idm)
 
 
 @jit(borrows=True)
@@ -205,15 +222,32 @@ def _sign(number):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _accelerate(v, lanes, places, i, idm):  # type: ignore[no-untyped-def]
+def _accelerate(v, drivers, lanes, crossing, places, i, idm):  # type: ignore[no-untyped-def]
     """A driver's acceleration, by the vehicle ahead in its lane and in the one that it changes to."""
-    front, _ = _neighbours(v, lanes, places, v.lane[i], i, idm.joined)
-    bend = _bend(v, lanes, places, i, idm)
-    a = min(_follow(v, lanes, places, i, front, v.delta[i], idm), bend)
+    a = _behind(v, drivers, lanes, crossing, places, v.lane[i], i, idm)
+    a = min(a, _bend(v, lanes, places, i, idm), idm.most_mps2, stop_at_line(v, drivers, lanes, crossing, i))
     if v.lane[i] != v.target[i]:
-        front, _ = _neighbours(v, lanes, places, v.target[i], i, idm.joined)
-        a = min(a, _follow(v, lanes, places, i, front, v.delta[i], idm))
+        a = min(a, _behind(v, drivers, lanes, crossing, places, v.target[i], i, idm))
     v.acceleration[i] = min(max(a, -ACC_MOST), ACC_MOST)
+
+
+@jit(borrows=True)
+def _behind(v, drivers, lanes, crossing, places, lane, i, idm):  # type: ignore[no-untyped-def]
+    """IDM's acceleration of driver i behind the vehicle ahead of it on a lane."""
+    front, _ = _neighbours(v, lanes, places, lane, i, idm.joined)
+    if front >= 0 and not follows(v, drivers, lanes, crossing, i, front):
+        front = -1
+    return _follow(v, lanes, places, i, front, v.delta[i], idm)
+
+
+@jit(borrows=True)
+def wander_each(v, count, drivers, shapes, step, dt):  # type: ignore[no-untyped-def]
+    """:func:`.drivers_kernel.wander_all` at simulation step number ``step``, by the time since each vehicle entered."""
+    for i in range(1, count):
+        shape, line = shapes[min(step - drivers[i].entered, shapes.shape[0] - 1)], 0.0
+        for k in range(WANDER_SHAPES):
+            line += shape[k] * v.wander[k, i]
+        move_line(v, i, line, dt)
 
 
 @jit(inline=True)

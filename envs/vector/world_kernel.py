@@ -11,7 +11,17 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import record
 
-__all__ = ["NO_REWARD", "OF_CROSSING", "OF_HIGHWAY", "OF_MERGE", "OF_ROADS", "OF_ROUNDABOUT", "OF_TRACK", "WORLD", "judge_rows"]
+__all__ = [
+    "NO_REWARD",
+    "OF_CROSSING",
+    "OF_HIGHWAY",
+    "OF_MERGE",
+    "OF_ROADS",
+    "OF_ROUNDABOUT",
+    "OF_TRACK",
+    "WORLD",
+    "judge_rows",
+]
 
 NO_REWARD, OF_HIGHWAY, OF_ROADS, OF_TRACK, OF_MERGE, OF_ROUNDABOUT, OF_CROSSING = range(7)  # kinds of rewards
 SPEEDS_BEFORE_LAST = 2.0  # of MDPVehicle.DEFAULT_TARGET_SPEEDS, whatever the speeds of the ego are

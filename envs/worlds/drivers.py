@@ -151,6 +151,8 @@ class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
     may_enter : whether it goes through, set by that road
     """
 
+    STOPS = True
+    MOST_MPS2 = START_MPS2
     movement: tuple[str, str] | None = None
     may_enter: bool = False
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from lanebound.integrity.core.records import Records
 
 __all__ = [
+    "Entrance",
     "Refusal",
     "Starter",
     "Support",
@@ -36,6 +37,9 @@ __all__ = [
 Starter = Callable[[np.random.Generator, "Records", "Records", np.ndarray[Any, Any]], int]
 """Fills the vehicles of one environment, (V,) CAR and DRIVER, and its speed profile (S,) from a generator; returns the
 number of vehicles."""
+Entrance = Callable[[np.random.Generator, "Records", "Records", int], int]
+"""Puts a vehicle that enters behind the others of an environment, (V,) CAR and DRIVER, of which there are so many; returns
+the number after that."""
 Refusal = tuple[str, str, object]
 """An option that the engine does not have: its name, the allowed values, and the value given."""
 
@@ -52,9 +56,9 @@ class Support:
 
     Attributes
     ----------
-    traffic : kind of compiled traffic, ``course``, ``city``, ``network`` or ``motorway``, or ``package.module:kernel``
-        of one's own
-    vehicles : largest number of vehicles in an episode, the ego included
+    traffic : kind of compiled traffic, ``course``, ``city``, ``network``, ``crossing`` or ``motorway``, or
+        ``package.module:kernel`` of one's own
+    vehicles : largest number of vehicles at the start of an episode, the ego included
     starter : the start of episodes; it uses only the configuration and the lanes of the world
     ends : fields of the record WORLD: end rules and the reward of the world
     profile_steps : length of the speed profile of other vehicles, 1 for none
@@ -62,6 +66,8 @@ class Support:
     drivers : class of the other vehicles, whose constants must equal those of the kind of traffic
     plans : routes that the vehicles may have
     effort : what the world's own reward takes of actions (N, ...) -> (N,); None for nothing
+    before : simulation steps of the traffic before an episode
+    entrance : vehicles that enter during an episode, between policy steps; None for none
     """
 
     traffic: str
@@ -73,6 +79,8 @@ class Support:
     drivers: type | None = None
     plans: Callable[[AbstractEnv, LaneTable], Plans] = field(default=_no_plans)
     effort: Callable[[AbstractEnv, np.ndarray[Any, Any]], np.ndarray[Any, Any]] | None = None
+    before: Callable[[AbstractEnv], int] = field(default=lambda world: 0)
+    entrance: Callable[[AbstractEnv, LaneTable], Entrance] | None = None
 
 
 @dataclass(frozen=True)

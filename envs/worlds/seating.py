@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
+    from lanebound.integrity.core.records import Records
 
-__all__ = ["put", "put_on_lane"]
+__all__ = ["close_up", "put", "put_on_lane"]
 
 
 def put(
@@ -37,3 +38,13 @@ def put_on_lane(
 ) -> None:
     """:func:`put` in the middle of a lane."""
     put(car, driver, table, lane.position(along_m, 0.0), float(lane.heading_at(along_m)), speed, *rest)
+
+
+def close_up(cars: Records, drivers: Records, keep: NDArray[np.bool_]) -> int:
+    """Let vehicles (V,) leave: the others move up, and the places behind them become empty.  -> their number"""
+    from lanebound.envs.vector.drivers_kernel import clear
+
+    count, length, width = int(keep.sum()), cars["length"][0], cars["width"][0]
+    cars[:count], drivers[:count] = cars[: keep.size][keep], drivers[: keep.size][keep]
+    clear(cars[count : keep.size], drivers[count : keep.size], length, width)
+    return count

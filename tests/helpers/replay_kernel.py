@@ -28,11 +28,11 @@ def run_replay(first, last, rows, frames, codes, cars, drivers, egos, motions, l
         here = cars[e, : ego.vehicles]
         v = vehicles_in(numbers, wholes, ego.vehicles)
         if codes.size > 0:
-            follow_road(ego, lanes, traffic.routes)
+            follow_road(ego, lanes, traffic.roads.routes)
             decide(ego.belief, codes[e], lanes, traffic.speeds)
         for frame in range(frames):
             load(here, drivers[e], v)
-            command_ego(ego, v, lanes, traffic.routes, rules[0])
+            command_ego(ego, v, lanes, traffic.roads.routes, rules[0])
             poses = traffic.profile[e].reshape(steps, 6, places)[ego.score.steps % steps]
             for i in range(here.shape[0]):
                 car = here[i]
