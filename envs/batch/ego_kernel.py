@@ -16,8 +16,8 @@ from lanebound.envs.batch.next_lane_kernel import following
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import remainder, wrap
 
-__all__ = ["FASTER", "IDLE", "LEFT", "RIGHT", "SLOWER", "STEERING_MOST_RAD", "actuate", "decide", "follow_road", "intend",
-           "not_zero", "past_end", "pursuit_rad", "steering_rad"]  # fmt: skip
+__all__ = ["FASTER", "IDLE", "LEFT", "RIGHT", "SLOWER", "STEERING_MOST_RAD", "actuate", "decide", "follow_road",
+           "intend", "not_zero", "past_end", "pursuit_rad", "steering_rad"]  # fmt: skip
 
 LEFT, IDLE, RIGHT, FASTER, SLOWER = 0, 1, 2, 3, 4  # meta-actions
 STEERING_MOST_RAD = math.pi / 3.0  # ControlledVehicle.MAX_STEERING_ANGLE of highway-env

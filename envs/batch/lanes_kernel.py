@@ -20,8 +20,8 @@ from lanebound.integrity.core.records import Records, record
 
 __all__ = [
     "ADVICE_STEP_M", "CELL", "CIRCLE", "CURVE", "JOINT", "LANE", "NODE", "NONE", "NOWHERE_M", "PAST_END_M", "SAMPLED",
-    "SINE", "SQUARE_M", "STRAIGHT", "Lanes", "advised", "centre", "closest", "heading_at", "local", "nearest", "of_side",
-    "on_lane", "place", "reachable", "stations", "straight", "width_at",
+    "SINE", "SQUARE_M", "STRAIGHT", "Lanes", "advised", "centre", "closest", "heading_at", "local", "nearest",
+    "of_side", "on_lane", "place", "reachable", "stations", "straight", "width_at",
 ]  # fmt: skip
 
 STRAIGHT, SINE, CIRCLE, CURVE, SAMPLED = 0, 1, 2, 3, 4  # kinds of lanes
@@ -357,7 +357,7 @@ def _away(lane, x, y):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def _on_circle(lane, x, y):  # type: ignore[no-untyped-def]
-    """:func:`local` on a circular lane, rounded as highway-env does, so that ties of two lanes of a circle end alike."""
+    """:func:`local` on a circular lane, rounded as by highway-env, so that ties of two lanes of a circle end alike."""
     dx, dy = x - lane.centre_x_m, y - lane.centre_y_m
     phase = lane.phase_rad + wrap(math.atan2(dy, dx) - lane.phase_rad)
     s = lane.turn * (phase - lane.phase_rad) * lane.radius_m

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -69,7 +70,7 @@ class Plans:
             nodes: Sequence[str] = self._network.shortest_path(index[1], goal)
         except KeyError:  # highway-env searches on at a node where no road begins
             nodes = []
-        roads = [self._table.row[start, end, 0] for start, end in zip(nodes, nodes[1:], strict=False)]
+        roads = [self._table.row[start, end, 0] for start, end in pairwise(nodes)]
         self._at[key] = len(self._rows)
         self._rows += [(self._road(key[0]), index[2]), *((road, NONE) for road in roads), END]
 

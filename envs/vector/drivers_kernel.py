@@ -18,8 +18,9 @@ from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M, WANDER_SH
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
 
-__all__ = ["DRIVER", "NUMBERS", "SPEED_MOST_MPS", "WHOLES", "Vehicles", "clear", "command_ego", "fill_onward",
-           "load", "move_ego", "move_line", "place_objects", "roll", "seat", "show", "steer_along", "store", "vehicles_in", "wander_all"]  # fmt: skip
+__all__ = ["DRIVER", "NUMBERS", "SPEED_MOST_MPS", "WHOLES", "Vehicles", "clear", "command_ego", "fill_onward", "load",
+           "move_ego", "move_line", "place_objects", "roll", "seat", "show", "steer_along", "store", "vehicles_in",
+           "wander_all"]  # fmt: skip
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -69,7 +69,7 @@ def traffic_of(support: Support) -> Any:
 
 def drivers_of(support: Support, world: AbstractEnv) -> Records:
     """Parameters of the other drivers on a network of roads, (1,) DRIVERS; zeros where there are none."""
-    kind = support.drivers
+    kind: Any = support.drivers
     if kind is None:
         return np.zeros(1, DRIVERS)
     idm = idm_parameters(
@@ -110,8 +110,8 @@ def _crossing_of(world: AbstractEnv, table: LaneTable) -> Crossing:
     for n, ((start, end), way) in enumerate(found.items()):
         lane = table.row[start, end, 0]
         parts["way"][lane] = n
-        leading, onward = (next(row for (a, b, _), row in table.row.items() if (b, a)[k] == node)
-                           for k, node in enumerate((start, end)))  # fmt: skip
+        leading = next(row for (_, to, _), row in table.row.items() if to == start)
+        onward = next(row for (begin, _, _), row in table.row.items() if begin == end)
         ways[n] = lane, leading, onward, way.priority
     spans = np.full((len(found), len(found), 2), np.nan)
     for n, way in enumerate(found.values()):

@@ -38,8 +38,8 @@ Starter = Callable[[np.random.Generator, "Records", "Records", np.ndarray[Any, A
 """Fills the vehicles of one environment, (V,) CAR and DRIVER, and its speed profile (S,) from a generator; returns the
 number of vehicles."""
 Entrance = Callable[[np.random.Generator, "Records", "Records", int], int]
-"""Puts a vehicle that enters behind the others of an environment, (V,) CAR and DRIVER, of which there are so many; returns
-the number after that."""
+"""Puts a vehicle that enters behind the others of an environment, (V,) CAR and DRIVER, of which there are so many;
+returns the number after that."""
 Refusal = tuple[str, str, object]
 """An option that the engine does not have: its name, the allowed values, and the value given."""
 

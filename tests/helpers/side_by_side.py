@@ -2,7 +2,7 @@
 
 Both drive by themselves; nothing of one is copied into the other. Every pose agrees within 1e-9, and every decision
 exactly, up to the step in which rounding may part the two. Rounding itself is unequal: NumPy's arcsine, arctangent and
-tangent, by which highway-env steers, differ from the C library's in the last bit. Two causes are accepted.
+tangent, by which highway-env steers, differ from the C library's in the last bit. Three causes are accepted.
 
 Crawl: a vehicle that steers by highway-env's law (``ControlledVehicle``) is slow. By that law the offset from the
 middle of the lane changes in a simulation step dt at the speed v by the factor ``1 - (L / 2) k_heading k_lateral dt
@@ -12,6 +12,8 @@ been slower than 1.5 times that speed in the policy step, without standing all t
 
 Tie: two vehicles crash whose headings agree within 1e-5 rad. highway-env pushes them apart along the side of that body
 along which they overlap least; where the bodies are in line, both overlap alike, and rounding chooses the side.
+
+Lanes: two lanes overlap, so that both are as near to a vehicle but for rounding; only racetracks have such lanes.
 
 An episode parts at the first step in which a pose differs by more than 1e-9, if one of the causes holds. It is compared
 no further and counted; :func:`require_equal` bounds the count. Any other difference is a failure.
@@ -27,6 +29,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from lanebound.envs.batch.ego_kernel import KP_HEADING, KP_LATERAL
 from lanebound.envs.batch.infos import form_of, infos_of, results, single_info
+from lanebound.envs.batch.lanes_kernel import closest
 from lanebound.envs.config import ActionKind
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
@@ -114,6 +117,11 @@ class Tally:
             self.parted.append(f"{cause}, {where}: {off.max():.1e}")
         return episode.apart
 
+    def part(self, single: DrivingEnv, cause: str) -> None:
+        """Rounding parts the two in this step."""
+        self._now[id(single)].apart = True
+        self.parted.append(cause)
+
 
 def pair(name: str, config: dict[str, Any], count: int = 1) -> tuple[DrivingEnv, Engine]:
     """A single environment, and an engine of ``count``, of the same configuration."""
@@ -167,6 +175,9 @@ def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv,
     tally.observation = max(tally.observation, float(np.abs(e.frame[row] - flat(single, seen)).max()))
     tally.reward = max(tally.reward, abs(float(out["reward"]) - reward))
     lanes = [e.table.row[v.lane_index] for v in vehicles]
+    if _overlapping(engine, e.cars[row, :count], lanes):
+        tally.part(single, f"lanes, {where}")
+        return
     facts = {
         "there": (int(e.ego["vehicles"][row]), count),
         "lanes": (e.cars["lane"][row, :count].tolist(), lanes),
@@ -176,6 +187,14 @@ def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv,
     tally.mismatches += [f"{where} {name}: {a} {b}" for name, (a, b) in facts.items() if a != b]
     infos = infos_of(results(e.ego["outcome"]), form_of(np.ones(engine.count, dtype=np.bool_)))
     _same_info(tally, where, single_info(infos, row), info)
+
+
+def _overlapping(engine: Engine, cars: Any, lanes: list[int]) -> bool:
+    """Whether the lane of a vehicle differs, and rounding decides between two that overlap."""
+    other = [i for i, lane in enumerate(lanes) if cars["lane"][i] != lane]
+    table, nothing = engine.episodes.table.lanes, np.zeros(len(engine.episodes.table.index))
+    poses = [(float(cars["x"][i]), float(cars["y"][i]), float(cars["heading"][i])) for i in other]
+    return bool(other) and not any(closest(table, *pose, nothing)[1] for pose in poses)
 
 
 def _same_info(tally: Tally, where: str, got: dict[str, Any], info: dict[str, Any]) -> None:
