@@ -27,6 +27,7 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Roundabout", PERFECT, 30),
     ("Roundabout", {**PERFECT, "action": "continuous"}, 12),
     ("Intersection", PERFECT, 30),
+    ("Intersection", {**PERFECT, "action": "continuous", "action_options": {"dynamical": False}}, 12),
 ]
 OTHERS: list[tuple[str, dict[str, Any]]] = [
     ("Highway", {"observation": {"integrity": "oracle"}}),
