@@ -19,6 +19,7 @@ from lanebound.envs.batch import ego_kernel
 from lanebound.envs.batch.belief_kernel import locate
 from lanebound.envs.batch.infos import info_of
 from lanebound.envs.batch.lanes_kernel import NONE, closest
+from lanebound.envs.batch.next_lane_kernel import ROUTE_M
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.ego import HOLD, BelievedVehicle, MetaEgo, take_over
 from lanebound.envs.lane_search import fast_network
@@ -35,7 +36,6 @@ __all__ = ["BeliefLoop", "WorldStep"]
 
 Array = NDArray[np.float64]
 ROW = np.zeros(1, dtype=np.int64)
-ROUTE_M = 2.0  # half a lane of highway-env: a lane of the route is preferred unless another is this much nearer
 
 
 class WorldStep(NamedTuple):
@@ -244,7 +244,7 @@ class BeliefLoop:
         self.seats.read(full=True)
         self._intents()
         for index in {self.believed.lane_index, self.ego.lane_index}:
-            e.path_of[row[index]] = e.routes.row(row[index], self.route)
+            e.path_of[0, row[index]] = e.routes.row(row[index], self.route)
         kind = world_kind(self.config.base)
         goal = None if kind is None else kind.arrived
         arrived = goal is None or goal(self.world)
@@ -270,7 +270,7 @@ class BeliefLoop:
         """The belief of the ego about itself."""
         e = self.episodes
         self._intents()
-        locate(e.ego["belief"][0], e.table.lanes, e.path_of, e.rules[0])
+        locate(e.ego["belief"][0], e.table.lanes, e.path_of[0], e.rules[0])
         return EgoBelief.of(e.ego["belief"], 0, e.table)
 
     @property

@@ -90,22 +90,31 @@ def duration_s(config: EnvConfig, world: AbstractEnv) -> float:
     return float(config.duration_s or world.config.get("duration", ENDLESS_S))
 
 
-def make_batch(world: AbstractEnv, config: EnvConfig, count: int, vehicles: int) -> Episodes:
-    """N episodes of the vector engine, each in any of the cities at any hour; ``vehicles`` there may be in each."""
+def make_batch(world: AbstractEnv, config: EnvConfig, count: int, vehicles: int, capacity: int) -> Episodes:
+    """N episodes of the vector engine, each in any of the cities at any hour.
+
+    vehicles : that there may be in each
+    capacity : slots of the others
+    """
     network, sections = world.road.network, getattr(world, "sections", ())
     streets = [build_street(network, config.level, n, sections, config.extent_m) for n in range(config.layouts)]
-    return _episodes(world, config, streets, range(HOURS), count, vehicles, vehicles - 1)
+    return _episodes(world, config, streets, range(HOURS), count, vehicles, capacity)
 
 
-def begin_all(episodes: Episodes, rows: NDArray[np.int64], seeds: Sequence[int]) -> None:
-    """Begin episodes of the engine, whose cars are in their places."""
-    crew = np.arange(1, episodes.cars.shape[1]) < episodes.ego["vehicles"][rows, None]
+def begin_all(episodes: Episodes, rows: NDArray[np.int64], seeds: Sequence[int], newcomers: int) -> Starts | None:
+    """Begin episodes of the engine, whose cars are in their places.
+
+    newcomers : slots of each beside those of the others that are there
+    """
+    slots = np.minimum(episodes.ego["vehicles"][rows] - 1 + newcomers, episodes.config.slots)
+    crew = np.arange(episodes.perception.capacity) < slots[:, None]
     config, navigation = episodes.config, episodes.navigation
     starts = None
     if navigation is not None:
         navigating = crew[:, : navigation.vehicles - 1]
         starts = draw_starts(seeds, config.layouts, HOURS, navigating, config.navigation.source.uses_sensors)
     episodes.begin(rows, seeds, starts, crew)
+    return starts
 
 
 def _episodes(

@@ -83,14 +83,14 @@ class Seats:
         fresh = self._seat(others)
         perception, navigation = self.episodes.perception, self.episodes.navigation
         for vehicle in fresh:
-            perception.enter(self.slot[vehicle], self._named, vehicle.LENGTH, vehicle.WIDTH)
+            perception.enter(0, self.slot[vehicle], self._named, vehicle.LENGTH, vehicle.WIDTH)
             self._named += 1
         if fresh and navigation is not None and navigation.vehicles > 1:
             slots = np.array([self.slot[v] for v in fresh], dtype=np.int64)
             position = np.array([v.position for v in fresh], dtype=np.float64)
             heading, speed = np.array([(v.heading, v.speed) for v in fresh], dtype=np.float64).T
             noise = self._generator.standard_normal((self.capacity, 3))[slots]
-            navigation.enter(slots, position, heading, speed, passed, noise)
+            navigation.enter(0, slots, position, heading, speed, passed, noise)
 
     def read(self, full: bool) -> None:
         """Take the poses of the vehicles; ``full``: speeds, lanes and crashes as well."""

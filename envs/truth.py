@@ -35,7 +35,7 @@ def _true_belief(loop: BeliefLoop) -> Records:
     e = loop.episodes
     loop.belief()  # brings the records up to date
     view: Records = e.ego["belief"].copy()
-    true_view(e.cars[0, 0], e.table.lanes, e.path_of, e.rules[0], view[0])
+    true_view(e.cars[0, 0], e.table.lanes, e.path_of[0], e.rules[0], view[0])
     return view
 
 

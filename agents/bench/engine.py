@@ -15,10 +15,10 @@ import numpy as np
 from lanebound.agents.bench.environments import bare_of
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
 from lanebound.envs import DrivingEnv, make_config
-from lanebound.envs.ids import Highway
+from lanebound.envs.ids import Highway, Preset
 from lanebound.envs.vector import VectorDrivingEnv, engine_class
 
-__all__ = ["measure"]
+__all__ = ["SEED", "engine_side", "measure"]
 
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
 FULL: dict[str, Any] = {"perception": {"source": "truth"}}
@@ -40,10 +40,14 @@ def _bare_side() -> Callable[[], int]:
     return step
 
 
-def _engine_side(count: int, config: dict[str, Any]) -> tuple[Callable[[], int], VectorDrivingEnv]:
-    env = engine_class(Highway)(count, config, autoreset_mode="SameStep")
+def engine_side(
+    kind: type[Preset], count: int, config: dict[str, Any]
+) -> tuple[Callable[[], int], VectorDrivingEnv]:  # fmt: skip
+    """A policy step of so many environments of an id under random actions, and these environments."""
+    env = engine_class(kind)(count, config, autoreset_mode="SameStep")
     env.reset(seed=SEED)
-    actions, turn = np.random.default_rng(SEED).integers(5, size=(TURNS, count)), iter(range(10**9))
+    env.action_space.seed(SEED)
+    actions, turn = [env.action_space.sample() for _ in range(TURNS)], iter(range(10**9))
 
     def step() -> int:
         env.step(actions[next(turn) % TURNS])
@@ -55,7 +59,7 @@ def _engine_side(count: int, config: dict[str, Any]) -> tuple[Callable[[], int],
 def measure(rounds: int = 5) -> list[Row]:
     """Ratios of policy steps a second, resets included on both sides; rates of ours; the memory of an environment."""
     cases = {"many": (MANY, PERFECT), "one": (1, PERFECT), "full": (MANY, FULL), "v2v": (HEARING, V2V)}
-    engines = {name: _engine_side(count, config) for name, (count, config) in cases.items()}
+    engines = {name: engine_side(Highway, count, config) for name, (count, config) in cases.items()}
     rates = alternate({"bare": _bare_side(), **{name: step for name, (step, _) in engines.items()}}, rounds, 1.0)
     ratio = {name: median_ratio(rates, name, "bare") for name in cases}
     size = {name: env.engine.bytes_per_environment / 1024.0 for name, (_, env) in engines.items()}

@@ -6,18 +6,18 @@ import math
 
 from lanebound.envs.batch.lanes_kernel import (
     PAST_END_M,
-    following,
     heading_at,
     local,
     of_side,
     place,
     reachable,
 )
+from lanebound.envs.batch.next_lane_kernel import following
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import remainder, wrap
 
-__all__ = ["FASTER", "IDLE", "LEFT", "RIGHT", "SLOWER", "STEERING_MOST_RAD", "actuate", "decide", "intend", "not_zero",
-           "past_end", "pursuit_rad", "steering_rad"]  # fmt: skip
+__all__ = ["FASTER", "IDLE", "LEFT", "RIGHT", "SLOWER", "STEERING_MOST_RAD", "actuate", "decide", "follow_road",
+           "intend", "not_zero", "past_end", "pursuit_rad", "steering_rad"]  # fmt: skip
 
 LEFT, IDLE, RIGHT, FASTER, SLOWER = 0, 1, 2, 3, 4  # meta-actions
 STEERING_MOST_RAD = math.pi / 3.0  # ControlledVehicle.MAX_STEERING_ANGLE of highway-env
@@ -37,15 +37,25 @@ def not_zero(x):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
+def follow_road(ego, lanes, routes):  # type: ignore[no-untyped-def]
+    """Take the next lane as the target near the end of the target lane, by the believed position."""
+    b = ego.belief
+    b.target_lane, at = following(lanes, routes, ego.route, b.target_lane, b.x_m, b.y_m)
+    ego.route = at
+
+
+@jit(borrows=True)
 def decide(b, action, lanes, speeds):  # type: ignore[no-untyped-def]
-    """Turn a meta-action into targets: a speed one step up or down from the believed one, or the lane beside."""
+    """Turn a meta-action into targets: a speed one step up or down from the believed one, or the lane beside.
+
+    The lane is beside the target lane, which :func:`follow_road` has brought up to date.
+    """
     if action == FASTER or action == SLOWER:
         last = speeds.shape[0] - 1
         share = (b.speed_mps - speeds[0]) / (speeds[last] - speeds[0])
         index = min(max(round(share * last), 0.0), float(last))
         index += 1.0 if action == FASTER else -1.0
         b.target_speed_mps = speeds[int(min(max(index, 0.0), float(last)))]
-    b.target_lane = following(lanes, b.target_lane, b.x_m, b.y_m)
     if action == LEFT or action == RIGHT:
         target = lanes.table[b.target_lane]
         goal = of_side(lanes, target.road, max(target.side + (1 if action == RIGHT else -1), 0))

@@ -78,6 +78,7 @@ class Episodes:
     Attributes
     ----------
     ego : (N,) EGO
+    path_of : (Q, L) row of the path from each lane, by ``ego["route"]``
     views : what observations are derived of
     frame : (N, E) float32, the newest observations
     epoch_steps : simulation steps in an epoch; None with perfect positions and without sensing: there are no epochs
@@ -95,7 +96,7 @@ class Episodes:
         self.config, self.rules, self.routes = config, rules, routes
         self.cars, self.navigation, self.perception = cars, navigation, perception
         o, n = config.observation, len(cars)
-        self.path_of: Rows = np.arange(len(routes.table.index))
+        self.path_of: Rows = np.arange(len(routes.table.index))[None]
         self.index = entries(o)
         self._sources = sources_of(self.index)
         self._extra = [(place, entry) for place, entry in enumerate(self.index) if callable(entry.source)]
@@ -114,12 +115,17 @@ class Episodes:
         exact = not (rules["offset_at_m"][0] or rules["offset_ct_m"][0])
         alike = exact and navigation is None and not perceives(config.perception)
         self.epoch_steps = None if alike else config.navigation.steps_per_epoch(config.simulation_hz)
-        compile_beside(rk.conclude_rows, 0, 0, *self._to_conclude(self.path_of, True))
+        compile_beside(rk.conclude_rows, 0, 0, *self._to_conclude(np.zeros(0, dtype=np.int64), True))
 
     @property
     def table(self) -> LaneTable:
         """The lanes of the road network."""
         return self.routes.table
+
+    @property
+    def ego_is_sensed(self) -> bool:
+        """Whether the positions of the egos are sensed, not given."""
+        return self._sensed
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
@@ -137,7 +143,9 @@ class Episodes:
         """``count`` episodes of the same configuration, before any start."""
         cars = empty_cars(count, self.cars.shape[1])
         navigation = None if self.navigation is None else self.navigation.another(count)
-        return Episodes(self.config, self.rules, self.routes, cars, navigation, self.perception.another(count))
+        other = Episodes(self.config, self.rules, self.routes, cars, navigation, self.perception.another(count))
+        other.path_of = self.path_of
+        return other
 
     @property
     def times_s(self) -> Array:

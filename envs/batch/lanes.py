@@ -28,6 +28,7 @@ NODE_STEP_M = 2.0  # of sampled centrelines: 1e-5 m of error on a radius of 15 m
 REMEMBERED = 64  # networks
 
 Row = list[Any]
+Joint = tuple[int, bool]
 _tables: OrderedDict[Any, Any] = OrderedDict()
 
 
@@ -50,13 +51,6 @@ class LaneTable:
     def has_crossings(self) -> bool:
         """Whether any lanes cross each other."""
         return bool(self.lanes.table["crossed"].any())
-
-    @property
-    def goes_one_way(self) -> bool:
-        """Whether no road forks, and each continuation of a road has as many lanes or more."""
-        starts = {start for start, _, _ in self.index}
-        onward = self.lanes.table["onward"].tolist()
-        return all(n >= 0 or end not in starts for n, (_, end, _) in zip(onward, self.index, strict=True))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> LaneTable:
         """The table itself: nothing in it changes."""
@@ -102,17 +96,15 @@ def _build(roads: list[tuple[str, str, Row]]) -> LaneTable:
     table = np.zeros(len(index), lk.LANE)
     parts = _Parts()
     for k, (_, _, row) in enumerate(roads):
-        joints = parts.joints.add(_joints(roads, first, k))
+        leading, onward = _joints(roads, first, k)
+        joints = parts.joints.add(leading + onward)
         for i, lane in enumerate(row):
             entry = table[first[k] + i]
             entry["side"], entry["road"], entry["count"] = i, first[k], len(row)
             entry["joint_first"], entry["joint_last"] = joints
+            entry["joint_onward"] = joints[0] + len(leading)
             _fill(entry, lane, parts)
     table["onward"] = _onward(roads, first)
-    table["before"] = lk.NONE
-    for n, onward in reversed(list(enumerate(table["onward"]))):
-        if onward >= 0:
-            table["before"][onward] = n
     table["crossed"] = _crossed([lane for _, _, row in roads for lane in row], table["road"])
     return LaneTable(Lanes(table, *parts.arrays), index, {lane: n for n, lane in enumerate(index)})
 
@@ -227,13 +219,16 @@ def _nodes(lane: AbstractLane) -> list[Any]:
     return out
 
 
-def _joints(roads: list[tuple[str, str, Row]], first: list[int], k: int) -> list[tuple[int, bool]]:
-    """The roads that lead to a road and go on from it, and whether all their lanes count (junctions)."""
+def _joints(roads: list[tuple[str, str, Row]], first: list[int], k: int) -> tuple[list[Joint], list[Joint]]:
+    """The roads that lead to a road, those that go on from it, and whether all their lanes count (junctions)."""
     start, end, row = roads[k]
     leading = [n for n, (_, b, _) in enumerate(roads) if b == start]
     onward = [n for n, (a, _, _) in enumerate(roads) if a == end]
-    both = [(n, len(leading) > 1) for n in leading] + [(n, False) for n in onward]
-    return [(first[n], junction or len(roads[n][2]) != len(row)) for n, junction in both]
+    junction = len(leading) > 1
+    return (
+        [(first[n], junction or len(roads[n][2]) != len(row)) for n in leading],
+        [(first[n], len(roads[n][2]) != len(row)) for n in onward],
+    )
 
 
 def _onward(roads: list[tuple[str, str, Row]], first: list[int]) -> NDArray[np.int64]:

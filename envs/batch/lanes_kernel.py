@@ -20,8 +20,8 @@ from lanebound.integrity.core.records import Records, record
 
 __all__ = [
     "ADVICE_STEP_M", "CELL", "CIRCLE", "CURVE", "JOINT", "LANE", "NODE", "NONE", "NOWHERE_M", "PAST_END_M", "SAMPLED",
-    "SINE", "SQUARE_M", "STRAIGHT", "Lanes", "advised", "centre", "closest", "following", "heading_at", "local",
-    "nearest", "of_side", "on_lane", "place", "reachable", "stations", "straight", "width_at",
+    "SINE", "SQUARE_M", "STRAIGHT", "Lanes", "advised", "centre", "closest", "heading_at", "local", "nearest",
+    "of_side", "on_lane", "place", "reachable", "stations", "straight", "width_at",
 ]  # fmt: skip
 
 STRAIGHT, SINE, CIRCLE, CURVE, SAMPLED = 0, 1, 2, 3, 4  # kinds of lanes
@@ -50,9 +50,9 @@ LANE = record(
     road=("i8", "row of the leftmost lane of the road, which names the road"),
     count=("i8", "number of lanes of the road"),
     onward=("i8", "lane of the same number on the only road that goes on, NONE where there is no such lane"),
-    before=("i8", "lane whose onward lane this is, NONE for no lane"),
     crossed=("i8", "1 where a lane of another road overlaps this one at more than 30 degrees"),
-    joint_first=("i8", "first row of the joints of the road"),
+    joint_first=("i8", "first row of the joints of the road: roads that lead to it, then those that go on from it"),
+    joint_onward=("i8", "row of the first of those that go on"),
     joint_last=("i8", "row after the last joint"),
     amplitude_m="of a sine lane",
     pulsation_radpm="of a sine lane",
@@ -356,6 +356,16 @@ def _away(lane, x, y):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
+def _on_circle(lane, x, y):  # type: ignore[no-untyped-def]
+    """:func:`local` on a circular lane, rounded as by highway-env, so that ties of two lanes of a circle end alike."""
+    dx, dy = x - lane.centre_x_m, y - lane.centre_y_m
+    phase = lane.phase_rad + wrap(math.atan2(dy, dx) - lane.phase_rad)
+    s = lane.turn * (phase - lane.phase_rad) * lane.radius_m
+    direction = lane.turn * s / lane.radius_m + lane.phase_rad + 0.5 * math.pi * lane.turn
+    return s, lane.turn * (lane.radius_m - math.hypot(dx, dy)), direction
+
+
+@jit(borrows=True)
 def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
     """The lane with the least ``|r| + beyond its ends + |angle|``; the first of equals.
 
@@ -376,6 +386,8 @@ def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
                 foot, into, lateral = _project(lanes, lane, x, y)
                 projected = lane.cell_first
             s, r, direction = _on_path(lanes.cells, lane, foot, into, lateral)
+        elif lane.kind == CIRCLE:
+            s, r, direction = _on_circle(lane, x, y)
         else:
             s, r, direction = _local_of_others(lanes, lane, x, y)
         distance = abs(r) + max(s - lane.length_m, 0.0, -s) + abs(wrap(heading - direction))
@@ -430,17 +442,6 @@ def advised(lanes, n, s):  # type: ignore[no-untyped-def]
     """Speed that the bends ahead on a curve allow, as ``CurveLane.advised_speed``."""
     first, last = lanes.table[n].advice_first, lanes.table[n].advice_last - 1
     return lanes.advice[min(first + max(int(s / ADVICE_STEP_M), 0), last)]
-
-
-@jit(borrows=True)
-def following(lanes, n, x, y):  # type: ignore[no-untyped-def]
-    """The lane to follow from a point on: near the end of the lane its onward lane, if there is one."""
-    lane = lanes.table[n]
-    if lane.onward >= 0:
-        s, _, _ = local(lanes, n, x, y)
-        if s > lane.length_m - 0.5 * PAST_END_M:
-            return lane.onward
-    return n
 
 
 @jit(inline=True)

@@ -260,9 +260,9 @@ class NavigationBatch:
         return Approach(solution, heard)
 
     def enter(
-        self, slots: Rows, position_m: Array, heading_rad: Array, speed_mps: Array, passed: int, noise: Array
+        self, row: int, slots: Rows, position_m: Array, heading_rad: Array, speed_mps: Array, passed: int, noise: Array
     ) -> None:
-        """Vehicles appear in slots (n,) of a single environment, after going straight on at their speed.
+        """Vehicles appear in slots (n,) of an environment, after going straight on at their speed.
 
         position_m (n, 2) is where each is now; ``passed``: steps of the epoch before this one; noise (n, 3) standard
         normal, of their first estimated positions.
@@ -270,11 +270,11 @@ class NavigationBatch:
         chord = self.step_s * speed_mps[:, None] * np.stack([np.cos(heading_rad), np.sin(heading_rad)], -1)
         before, rows = position_m - chord, slots + 1
         m = self.motions
-        m["position"][0, rows], m["heading_rad"][0, rows] = before, heading_rad
-        m["chord"][0, rows] = m["chord_before"][0, rows] = chord
-        m["start"][0, rows], m["start_velocity"][0, rows] = before - passed * chord, chord / self.step_s
-        m["start_heading_rad"][0, rows] = heading_rad
-        place_all(self.navigator, self.config, before, heading_rad, noise, rows)
+        m["position"][row, rows], m["heading_rad"][row, rows] = before, heading_rad
+        m["chord"][row, rows] = m["chord_before"][row, rows] = chord
+        m["start"][row, rows], m["start_velocity"][row, rows] = before - passed * chord, chord / self.step_s
+        m["start_heading_rad"][row, rows] = heading_rad
+        place_all(self.navigator, self.config, before, heading_rad, noise, row * self.vehicles + rows)
 
     # Steps
 

@@ -155,13 +155,13 @@ class PerceptionBatch:
             longer[:, : perceived.shape[1]] = perceived
             self.vehicles, self.pictures = vehicles, self.pictures._replace(perceived=longer)
 
-    def enter(self, slot: int, key: int, length_m: float, width_m: float) -> None:
-        """Assign a slot of a single environment to another vehicle and clear what was known of the last one."""
+    def enter(self, row: int, slot: int, key: int, length_m: float, width_m: float) -> None:
+        """Assign a slot of an environment to another vehicle and clear what was known of the last one."""
         if not (self.has_radio or self.has_sensor):
             return
         p = self.pictures
-        pk.forget_slot(p.radio, p.tracks, 0, slot)
-        p.slots[0, slot] = key, length_m, width_m
+        pk.forget_slot(p.radio, p.tracks, row, slot)
+        p.slots[row, slot] = key, length_m, width_m
 
     def perceive(
         self, rows: Rows, at: Rows, time_s: Array, fixes: Records | None, cars: Records, egos: Records,

@@ -109,6 +109,7 @@ COMMAND = record(
     acceleration_mps2="commanded directly",
     steering_rad="commanded directly",
     wheel_rad="angle of the road wheels that the actuators have reached",
+    effort="what the reward of the wrapped world takes of the last action",
 )
 
 SCORE = record(
@@ -211,6 +212,9 @@ EGO = record(
     facts=(FACTS, "what the wrapped world says of the step"),
     outcome=(OUTCOME, "what the step has come to"),
     vehicles=("i8", "vehicles of the environment, the ego included: the first places of its row of cars"),
+    route=("i8", "row of the first step that is left of the planned route, 0 for none"),
+    place=("i8", "place of the ego in the world's list of vehicles, by which pairs that crash are ordered"),
+    placed=("i8", "lane on which the belief was last; where there is a route, it decides between lanes that cross"),
 )
 """All that belongs to an environment as a whole."""
 

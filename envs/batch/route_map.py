@@ -93,6 +93,15 @@ class Routes:
             self.map = self._arrays()
         return found
 
+    def rows(self, route: Sequence[Step]) -> list[int]:
+        """The rows of the paths from all lanes along a route."""
+        keys = [(lane, tuple(route)) for lane in range(len(self.table.index))]
+        for key in keys:
+            if key not in self._rows:
+                self._rows[key] = self._build(*key)
+        self.map = self._arrays()
+        return [self._rows[key] for key in keys]
+
     def all_lanes(self) -> RouteMap:
         """The paths from all lanes without a planned route: row n is that of lane n.
 

@@ -149,14 +149,14 @@ def conclude_rows(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Score a policy step, or a start, and observe: one call, as each array of a call takes 0.1 to 0.5 us.
 
-    picture (N,) PICTURE, perceived (N, P) PERCEIVED; path_of (L,): row of the path from each lane by the present route;
+    picture (N,) PICTURE, perceived (N, P) PERCEIVED; path_of (Q, L): row of the path from each lane, by ``ego.route``;
     ahead: what satellites are predicted from, None where they are not; sources (E,) SOURCE of the frames (N, E).
     """
     truth, cells = np.empty_like(perceived[0]), np.empty((2, views.sky.shape[1]), np.int64)
     words = words_of(egos, views)
     for e in rows[first:last]:
         ego, here, seen = egos[e], cars[e, : egos[e].vehicles], perceived[e]
-        _score(ego, here, picture[e], seen, path_of, lanes, rules[0], start)
+        _score(ego, here, picture[e], seen, path_of[ego.route], lanes, rules[0], start)
         if ahead is not None:
             predict(ego.shown, lanes, routes, ahead, e, cells, views.sky[e])
         count = picture[e].seen

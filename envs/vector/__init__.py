@@ -1,10 +1,11 @@
 """Many environments of one configuration as arrays, for training at the speed of compiled code.
 
 Belief, perception, observations and scores are in :mod:`lanebound.envs.batch`, as for single environments. This package
-moves the cars: ``motorway_kernel``, ``city_kernel`` and ``course_kernel`` (traffic, the first two by ``idm_kernel``),
-``drivers_kernel`` (motion of a car), ``collisions_kernel``; ``drive_kernel`` runs them, ``world_kernel`` holds the end
-rules of the worlds. ``engine`` owns the arrays, ``env`` is the vector environment of Gymnasium, ``support`` refuses
-options that the engine does not have.
+moves the cars: ``network_kernel``, ``motorway_kernel`` and ``course_kernel`` (traffic, the first two by
+``idm_kernel``), ``crossing_kernel`` (right of way), ``drivers_kernel`` (motion of a car), ``collisions_kernel``;
+``drive_kernel`` runs them, ``world_kernel`` holds the end rules of the worlds, ``turnover`` lets vehicles enter and
+leave. ``engine`` owns the arrays, ``env`` is the vector environment of Gymnasium, ``support`` refuses options that the
+engine does not have.
 """
 
 from lanebound.envs.vector.engine import Engine

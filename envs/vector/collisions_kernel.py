@@ -85,13 +85,37 @@ def _diagonal(v):  # type: ignore[no-untyped-def]
 
 
 @jit(inline=True)
-def collide_all(v, dt):  # type: ignore[no-untyped-def]
-    """All pairs of an environment."""
+def collide_all(v, count, ego_place, dt):  # type: ignore[no-untyped-def]
+    """All pairs of the first ``count`` vehicles, in the order of the world's list, and of them with the objects beyond.
+
+    ``ego_place``: of the ego in that list; the others are in their own order.
+    """
     diagonal = _diagonal(v)
-    for i in range(v.x.shape[0] - 1):
-        for j in range(i + 1, v.x.shape[0]):
+    for a in range(count):
+        i = _listed(a, ego_place)
+        for b in range(a + 1, count):
+            j = _listed(b, ego_place)
             if _near(v, i, j, dt, diagonal):
                 collide(v, i, j, dt)
+        for j in range(count, v.x.shape[0]):
+            if _near(v, i, j, dt, 0.5 * (diagonal + math.sqrt(v.length[j] ** 2 + v.width[j] ** 2))):
+                _hit(v, i, j, dt)
+
+
+@jit(inline=True)
+def _listed(place, ego_place):  # type: ignore[no-untyped-def]
+    """The vehicle in a place of the world's list."""
+    return place + 1 if place < ego_place else place if place > ego_place else 0
+
+
+@jit(borrows=True)
+def _hit(v, i, j, dt):  # type: ignore[no-untyped-def]
+    """Let a vehicle meet an object that stands: the vehicle parts all the way."""
+    v.struck[j] = 0
+    collide(v, i, j, dt)
+    if v.struck[j] != 0:
+        v.impact_x[i] *= 2.0
+        v.impact_y[i] *= 2.0
 
 
 @jit(inline=True)
@@ -102,7 +126,7 @@ def collide_sorted(v, dt, pairs):  # type: ignore[no-untyped-def]
     """
     count = v.x.shape[0]
     if count * count > 2 * pairs.shape[0]:
-        collide_all(v, dt)
+        collide_all(v, count, 0, dt)
         return
     found, diagonal = 0, _diagonal(v)
     reach = diagonal + (SPEED_MOST_MPS + SPARE_MPS) * dt

@@ -15,41 +15,52 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.batch.ego_kernel import decide
+from lanebound.envs.batch.ego_kernel import decide, follow_road
+from lanebound.envs.batch.next_lane_kernel import keep_to_route
+from lanebound.envs.batch.records_kernel import GIVEN
 from lanebound.envs.batch.rows_kernel import carry_on
-from lanebound.envs.vector.city_kernel import decide_all, drive_city, place_all
 from lanebound.envs.vector.collisions_kernel import collide_all, collide_sorted
 from lanebound.envs.vector.course_kernel import drive_profiles
+from lanebound.envs.vector.crossing_kernel import give_way
 from lanebound.envs.vector.drivers_kernel import (
     NUMBERS,
     WHOLES,
     command_ego,
+    fill_onward,
     load,
     move_ego,
+    place_objects,
+    seat,
     show,
     store,
     vehicles_in,
     wander_all,
 )
 from lanebound.envs.vector.motorway_kernel import accelerate, change_lanes, drive_others, sort_along, survey
+from lanebound.envs.vector.network_kernel import Roads, decide_all, drive_network, place_all, wander_each
 from lanebound.envs.vector.world_kernel import judge
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 
-__all__ = ["TrafficFigures", "run_city", "run_course", "run_motorway"]
+__all__ = ["TrafficFigures", "run_course", "run_motorway", "run_network", "run_unattended"]
 
 
 class TrafficFigures(NamedTuple):
     """The parameters of the motion of vehicles.
 
     world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, S): prescribed speeds of other vehicles [m/s],
-    by simulation step; wander (S, K) [m]: shapes over time of the others' lines in their lanes, by simulation step.
+    by simulation step; wander (S, K) [m]: shapes over time of the others' lines in their lanes, by simulation step; idm
+    (1,) DRIVERS: of the others on a network of roads; roads: what it has beyond its lanes; before: simulation steps of
+    the traffic before an episode.
     """
 
     world: Records
     speeds: NDArray[np.float64]
     profile: NDArray[np.float64]
     wander: NDArray[np.float64]
+    idm: Records
+    roads: Roads
+    before: int
 
 
 @jit
@@ -67,9 +78,11 @@ def run_course(first, last, rows, frames, ends, codes, cars, drivers, egos, moti
 def _begin(e, codes, cars, drivers, ego, lanes, traffic, numbers, wholes):  # type: ignore[no-untyped-def]
     """The vehicles of environment e as they begin to drive, with its meta-action taken up."""
     if codes.size > 0:
+        follow_road(ego, lanes, traffic.roads.routes)
         decide(ego.belief, codes[e], lanes, traffic.speeds)
-    v = vehicles_in(numbers, wholes, cars.shape[0])
+    v = vehicles_in(numbers, wholes, cars.shape[0] + traffic.roads.objects.shape[0])
     load(cars, drivers, v)
+    place_objects(v, cars.shape[0], traffic.roads.objects)
     return v
 
 
@@ -78,14 +91,16 @@ def _end(v, cars, drivers, ego, lanes, rules, world, ends):  # type: ignore[no-u
     """Store the vehicles after the last step, and judge the policy step if it ends."""
     store(v, cars, drivers)
     if ends:
-        judge(cars[0], ego, lanes, rules, world, False)
+        judge(cars, drivers, ego, lanes, rules, world, False)
 
 
 @jit(inline=True)
-def _conclude(v, cars, ego, motions, lanes, rules, ends_epoch):  # type: ignore[no-untyped-def]
+def _conclude(v, cars, ego, motions, lanes, rules, traffic, ends_epoch):  # type: ignore[no-untyped-def]
     """Carry the belief of the ego on after a step; only those that navigate are seen before the end."""
     show(v, cars[: max(motions.shape[0], 1)])
     carry_on(ego, cars, motions, lanes, rules, ends_epoch)
+    if rules.source == GIVEN or not ends_epoch:  # a sensed position waits for its solution
+        keep_to_route(ego, lanes, traffic.roads.routes, rules)
 
 
 @jit(borrows=True)
@@ -93,13 +108,13 @@ def _course(e, frames, v, cars, ego, motions, lanes, rules, traffic):  # type: i
     """:func:`run_course` for environment e."""
     world, dt = traffic.world[0], rules.step_s
     for frame in range(frames):
-        steering, acceleration, hold = command_ego(ego, v, lanes, rules)
+        steering, acceleration, hold = command_ego(ego, v, lanes, traffic.roads.routes, rules)
         move_ego(v, steering, acceleration, hold, world, lanes, dt)
         ego.score.steps += 1
         wander_all(v, traffic.wander[min(ego.score.steps, traffic.wander.shape[0] - 1)], dt)
         drive_profiles(v, lanes, traffic.profile[e], ego.score.steps, dt)
-        collide_all(v, dt)
-        _conclude(v, cars, ego, motions, lanes, rules, frame + 1 == frames)
+        collide_all(v, cars.shape[0], 0, dt)
+        _conclude(v, cars, ego, motions, lanes, rules, traffic, frame + 1 == frames)
 
 
 @jit
@@ -126,7 +141,7 @@ def _motorway(frames, v, cars, ego, motions, lanes, rules, traffic, scratch):  #
     newest, held, pairs, slip, front = scratch
     world, dt = traffic.world[0], rules.step_s
     for frame in range(frames):
-        steering, acceleration, hold = command_ego(ego, v, lanes, rules)
+        steering, acceleration, hold = command_ego(ego, v, lanes, traffic.roads.routes, rules)
         survey(v, lanes.table, newest, held)
         change_lanes(v, lanes.table, rules.meta != 0)
         accelerate(v, lanes.table, front)
@@ -136,32 +151,63 @@ def _motorway(frames, v, cars, ego, motions, lanes, rules, traffic, scratch):  #
         drive_others(v, lanes.table, dt, slip)
         sort_along(v)
         collide_sorted(v, dt, pairs)
-        _conclude(v, cars, ego, motions, lanes, rules, frame + 1 == frames)
+        _conclude(v, cars, ego, motions, lanes, rules, traffic, frame + 1 == frames)
 
 
 @jit
-def run_city(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
-    """The drivers of a city."""
-    numbers, wholes = np.empty((NUMBERS, cars.shape[1])), np.empty((WHOLES, cars.shape[1]), np.int64)
-    places = np.empty((cars.shape[1], lanes.table.shape[0]))
+def run_network(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
+    """The drivers of a network of roads."""
+    places = cars.shape[1] + traffic.roads.objects.shape[0]
+    numbers, wholes = np.empty((NUMBERS, places)), np.empty((WHOLES, places), np.int64)
+    stations, order = np.empty((places, lanes.table.shape[0])), np.empty(places, np.int64)
     for e in rows[first:last]:
         here = cars[e, : egos[e].vehicles]
         v = _begin(e, codes, here, drivers[e], egos[e], lanes, traffic, numbers, wholes)
-        _city(frames, v, here, egos[e], motions[e], lanes, rules[0], traffic, places)
+        _network(frames, v, here, drivers[e], egos[e], motions[e], lanes, rules[0], traffic, stations, order)
         _end(v, here, drivers[e], egos[e], lanes, rules[0], traffic.world[0], ends)
+        fill_onward(here, drivers[e], egos[e], lanes, traffic.roads.routes)
 
 
 @jit(borrows=True)
-def _city(frames, v, cars, ego, motions, lanes, rules, traffic, places):  # type: ignore[no-untyped-def]
-    """:func:`run_city` for one environment; places (V, L) is scratch."""
-    world, dt = traffic.world[0], rules.step_s
+def _network(frames, v, cars, drivers, ego, motions, lanes, rules, traffic, stations, order):  # type: ignore[no-untyped-def]
+    """:func:`run_network` for one environment; stations (V, L) and order (V,) are scratch."""
+    world, roads, dt, count = traffic.world[0], traffic.roads, rules.step_s, cars.shape[0]
     for frame in range(frames):
-        steering, acceleration, hold = command_ego(ego, v, lanes, rules)
-        place_all(v, lanes, places)
-        decide_all(v, lanes, places, rules.meta != 0)
+        steering, acceleration, hold = command_ego(ego, v, lanes, roads.routes, rules)
+        step = ego.score.steps + 1
+        ago = traffic.before + step
+        decide_network(v, count, drivers, lanes, traffic.idm[0], roads, rules.meta != 0, ago, stations, order)
         move_ego(v, steering, acceleration, hold, world, lanes, dt)
-        ego.score.steps += 1
-        wander_all(v, traffic.wander[min(ego.score.steps, traffic.wander.shape[0] - 1)], dt)
-        drive_city(v, lanes, dt)
-        collide_all(v, dt)
-        _conclude(v, cars, ego, motions, lanes, rules, frame + 1 == frames)
+        ego.score.steps = step
+        wander_each(v, count, drivers, traffic.wander, step, dt)
+        drive_network(v, count, lanes, traffic.idm[0], dt)
+        collide_all(v, count, ego.place, dt)
+        _conclude(v, cars, ego, motions, lanes, rules, traffic, frame + 1 == frames)
+
+
+@jit(borrows=True)
+def decide_network(v, count, drivers, lanes, idm, roads, ego_has_target, step, stations, order):  # type: ignore[no-untyped-def]
+    """What all others of a network decide in simulation step number ``step`` of the traffic."""
+    place_all(v, lanes, stations)
+    decide_all(v, count, drivers, lanes, roads, stations, idm, ego_has_target)
+    if idm.rules_every > 0 and step % idm.rules_every == 0:
+        give_way(v, count, drivers, lanes, roads.crossing, roads.routes, order)
+
+
+@jit
+def run_unattended(cars, drivers, steps, lanes, idm, roads, dt):  # type: ignore[no-untyped-def]
+    """Let the traffic of a network drive on before an episode, where car 0 is far away and not moved.
+
+    cars (v,), drivers (V,): of one environment.
+    """
+    places = cars.shape[0] + roads.objects.shape[0]
+    v = vehicles_in(np.zeros((NUMBERS, places)), np.zeros((WHOLES, places), np.int64), places)
+    stations, order = np.empty((places, lanes.table.shape[0])), np.empty(places, np.int64)
+    seat(cars, drivers, cars.shape[0])
+    load(cars, drivers, v)
+    place_objects(v, cars.shape[0], roads.objects)
+    for step in range(1, steps + 1):
+        decide_network(v, cars.shape[0], drivers, lanes, idm[0], roads, False, step, stations, order)
+        drive_network(v, cars.shape[0], lanes, idm[0], dt)
+        collide_all(v, cars.shape[0], 0, dt)
+    store(v, cars, drivers)

@@ -11,14 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.batch.ego_kernel import actuate, intend, steering_rad
-from lanebound.envs.batch.lanes_kernel import following, nearest
+from lanebound.envs.batch.ego_kernel import actuate, follow_road, intend, steering_rad
+from lanebound.envs.batch.lanes_kernel import NONE, nearest
+from lanebound.envs.batch.next_lane_kernel import beyond, route_onward
 from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M, WANDER_SHAPES, WANDER_SLOPE
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
 
-__all__ = ["DRIVER", "NUMBERS", "SPEED_MOST_MPS", "WHOLES", "Vehicles", "clear", "command_ego", "load", "move_ego",
-           "roll", "seat", "show", "steer_along", "store", "vehicles_in", "wander_all"]  # fmt: skip
+__all__ = ["DRIVER", "NUMBERS", "SPEED_MOST_MPS", "WHOLES", "Vehicles", "clear", "command_ego", "fill_onward", "load",
+           "move_ego", "move_line", "place_objects", "roll", "seat", "show", "steer_along", "store", "vehicles_in",
+           "wander_all"]  # fmt: skip
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -37,6 +39,10 @@ DRIVER = record(
     target=("i8", "row of the target lane"),
     struck=("i8", "1 from a crash to the next step"),
     order=("i8", "the vehicle in this place along the road, which need not be this one"),
+    route=("i8", "row of the first step that is left of its route, 0 for none"),
+    way=("i8", "row of its way through a crossing, NONE for none"),
+    may_enter=("i8", "1 where it goes through"),
+    entered=("i8", "simulation step of the episode at which it entered"),
     wander=("f8", (WANDER_SHAPES,), "weights of the shapes of its line over time, see :mod:`..worlds.wander`"),
 )
 """State of the control of a vehicle of compiled traffic."""
@@ -105,6 +111,23 @@ def load(cars, drivers, v):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
+def place_objects(v, count, objects):  # type: ignore[no-untyped-def]
+    """Put what stands on the road (O,) CAR behind the first ``count`` vehicles."""
+    for k in range(objects.shape[0]):
+        i, thing = count + k, objects[k]
+        v.x[i], v.y[i], v.heading[i], v.speed[i], v.aside[i] = thing.x, thing.y, thing.heading, 0.0, 0.0
+        v.length[i], v.width[i], v.lane[i] = thing.length, thing.width, thing.lane
+        v.cos[i], v.sin[i] = math.cos(thing.heading), math.sin(thing.heading)
+
+
+@jit(borrows=True)
+def fill_onward(cars, drivers, ego, lanes, routes):  # type: ignore[no-untyped-def]
+    """The lanes that vehicles go on to by what is left of their routes."""
+    for i in range(cars.shape[0]):
+        cars[i].onward = route_onward(lanes, routes, ego.route if i == 0 else drivers[i].route, cars[i].lane)
+
+
+@jit(borrows=True)
 def show(v, cars):  # type: ignore[no-untyped-def]
     """Write what may be seen of vehicles into their records."""
     for i in range(cars.shape[0]):
@@ -134,7 +157,8 @@ def clear(cars, drivers, length, width):  # type: ignore[no-untyped-def]
         car.lane = car.crashed = 0
         driver.target_speed = driver.timer = driver.delta = 0.0
         driver.impact_x = driver.impact_y = driver.aside = 0.0
-        driver.target = driver.struck = 0
+        driver.target = driver.struck = driver.order = driver.route = driver.may_enter = driver.entered = 0
+        driver.way = NONE
 
 
 @jit(borrows=True)
@@ -147,15 +171,15 @@ def seat(cars, drivers, count):  # type: ignore[no-untyped-def]
 
 
 @jit(inline=True)
-def command_ego(ego, v, lanes, rules):  # type: ignore[no-untyped-def]
+def command_ego(ego, v, lanes, routes, rules):  # type: ignore[no-untyped-def]
     """Steering, acceleration and holding brake of the ego in this step; the others read off what it intends.
 
     A car that is commanded directly has no intent: the lane it wants is its own, the speed it wants 0.
     """
     b, command, length = ego.belief, ego.command, v.length[0]
     if rules.meta != 0:
-        b.target_lane = following(lanes, b.target_lane, b.x_m, b.y_m)
-        onward = lanes.table[b.target_lane].onward
+        follow_road(ego, lanes, routes)
+        onward = beyond(lanes, routes, ego.route, b.target_lane) if rules.pursues != 0 else NONE
         steering, acceleration = intend(b, lanes, onward, rules, length)
         v.target[0], v.target_speed[0] = b.target_lane, b.target_speed_mps
     else:
@@ -218,6 +242,12 @@ def wander_all(v, shape, dt):  # type: ignore[no-untyped-def]
         line = 0.0
         for k in range(WANDER_SHAPES):  # a constant, so that the compiler takes several vehicles at once
             line += shape[k] * v.wander[k, i]
-        most = WANDER_SLOPE * max(v.speed[i], 0.0) * dt
-        wanted = min(max(line, -WANDER_MOST_M), WANDER_MOST_M) - v.aside[i]
-        v.aside[i] += min(max(wanted, -most), most)
+        move_line(v, i, line, dt)
+
+
+@jit(inline=True)
+def move_line(v, i, line, dt):  # type: ignore[no-untyped-def]
+    """Move the line of vehicle i in its lane towards ``line`` [m], as fast as the car may move aside."""
+    most = WANDER_SLOPE * max(v.speed[i], 0.0) * dt
+    wanted = min(max(line, -WANDER_MOST_M), WANDER_MOST_M) - v.aside[i]
+    v.aside[i] += min(max(wanted, -most), most)

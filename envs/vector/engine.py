@@ -13,17 +13,25 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.ego_kernel import FASTER, IDLE, LEFT, RIGHT, SLOWER
 from lanebound.envs.batch.episodes import Episodes, copy_rows
-from lanebound.envs.batch.lanes_kernel import PAST_END_M
+from lanebound.envs.batch.lanes_kernel import NONE, PAST_END_M
+from lanebound.envs.batch.next_lane_kernel import keep_rows
 from lanebound.envs.core import EPISODE_SEEDS, WORLD_SEEDS, DrivingEnv
 from lanebound.envs.scene import begin_all, duration_s, make_batch
 from lanebound.envs.vector.drive_kernel import TrafficFigures
 from lanebound.envs.vector.drivers_kernel import DRIVER
 from lanebound.envs.vector.start_kernel import clear_rows, seat_rows
-from lanebound.envs.vector.support import require_supported, support_of, traffic_of
+from lanebound.envs.vector.support import (
+    drivers_of,
+    newcomers_of,
+    require_supported,
+    roads_of,
+    support_of,
+    traffic_of,
+)
+from lanebound.envs.vector.turnover import Turnover
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.compile_ahead import compile_beside
-from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT
 
@@ -49,7 +57,10 @@ class Stage:
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
         profile = np.zeros((len(episodes.cars), engine.support.profile_steps(engine.single.world)))
         self.episodes, self.drivers = episodes, np.zeros(episodes.cars.shape, DRIVER)
-        self.traffic = TrafficFigures(engine.world, engine.speeds, profile, engine.wander)
+        self.traffic = TrafficFigures(
+            engine.world, engine.speeds, profile, engine.wander, engine.idm, engine.roads, engine.before
+        )
+        self.turnover = Turnover(engine, episodes)
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
@@ -65,6 +76,7 @@ class Stage:
         """Continue in environments ``rows`` with their k-th episodes of a stage of waiting ones."""
         theirs = rows + k * len(self.drivers)
         copy_rows(self.arrays, rows, other.arrays, theirs)
+        self.turnover.adopt(rows, other.turnover, theirs)
         self.episodes.adopt(rows, other.episodes, theirs)
 
 
@@ -87,6 +99,10 @@ class Engine:
     codes : (A,) code of each meta-action of the action space, none under continuous actions
     speeds : target speeds of meta-actions
     wander : shapes over time of the other drivers' lines in their lanes (S, K), by simulation step
+    idm : (1,) DRIVERS, parameters of the other drivers
+    plans, roads : routes that the vehicles may have, and what else the roads have beyond their lanes
+    before : simulation steps of the traffic before an episode
+    newcomers : slots for vehicles that enter during an episode
 
     Raises
     ------
@@ -97,7 +113,6 @@ class Engine:
     def __init__(self, single: DrivingEnv, count: int) -> None:
         require_supported(single)
         self.single, self.count, self.support = single, count, support_of(single.config)
-        self._kernel = traffic_of(self.support)
         config, inner = single.config, single.world.action_type
         self.frames = config.simulation_hz // config.policy_hz
         meta = isinstance(inner, DiscreteMetaAction)
@@ -111,14 +126,17 @@ class Engine:
         self._everyone = np.arange(count)
         self._generators: list[np.random.Generator | None] = [None] * count
         self._drawn: dict[tuple[bool, int], tuple[int, int]] = {}  # by whether it is to wait, and its row
-        vehicles = self.support.vehicles(single.world)
-        episodes = make_batch(single.world, config, count, vehicles)
-        if not episodes.table.goes_one_way:
-            raise ConfigError(
-                "base must have roads without forks and without ending lanes in the vector engine, got "
-                f"{config.base!r}: choose another id, or make single environments"
-            )
-        self._start = self.support.starter(single.world, episodes.table)
+        self.newcomers, vehicles = newcomers_of(config, self.support), self.support.vehicles(single.world)
+        capacity = min(config.slots, vehicles - 1 + self.newcomers)
+        if self.newcomers:  # one may enter after each decision
+            vehicles += math.ceil(duration_s(config, single.world) * config.policy_hz) + 1
+        episodes = make_batch(single.world, config, count, vehicles, capacity)
+        self.idm, self.before = drivers_of(self.support, single.world), self.support.before(single.world)
+        self.plans = self.support.plans(single.world, episodes.table)
+        self.roads = roads_of(single.world, episodes.table, self.plans)
+        self._routed = self.plans.own > 1 and episodes.ego_is_sensed
+        episodes.path_of = self.plans.paths(episodes.routes)
+        self._take_functions(episodes)
         self._stage = Stage(self, episodes)
         self._next: Stage | None = None
         self._begun = np.zeros(count, dtype=np.bool_)  # whether an environment has had an episode
@@ -128,13 +146,19 @@ class Engine:
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the functions of the world."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("support", "_kernel", "_start")}
+        of_world = "support", "entrance", "_kernel", "_start"
+        return {name: value for name, value in self.__dict__.items() if name not in of_world}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self.support = support_of(self.single.config)
-        self._kernel = traffic_of(self.support)
-        self._start = self.support.starter(self.single.world, self.episodes.table)
+        self._take_functions(self.episodes)
+
+    def _take_functions(self, episodes: Episodes) -> None:
+        """Those of the world."""
+        world, table = self.single.world, episodes.table
+        self._kernel, self._start = traffic_of(self.support), self.support.starter(world, table)
+        self.entrance = None if self.support.entrance is None else self.support.entrance(world, table)
 
     def _world(self) -> Any:
         """The record of the world."""
@@ -142,6 +166,7 @@ class Engine:
         slowest, fastest = getattr(inner, "speed_range", None) or (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED)
         figures: dict[str, Any] = dict.fromkeys(WORLD.names or (), 0.0)
         figures |= {"speed_least_mps": slowest, "speed_most_mps": fastest, "end_m": -1.0}
+        figures |= {"ends_x_m": math.inf, "goal_road": NONE}
         figures |= {"episode_s": duration_s(config, self.single.world)}
         return one_record(WORLD, **(figures | dict(self.support.ends(self.single.world))))
 
@@ -198,29 +223,33 @@ class Engine:
         waits = stage is self._next
         drawn = [self._draw(waits, row, seed) for row, seed in zip(rows.tolist(), seeds, strict=True)]
         episodes, seeds_of_episodes = stage.episodes, [episode for episode, _ in drawn]
-        self._line_up(stage, rows, seeds_of_episodes, [world for _, world in drawn])
-        begin_all(episodes, rows, seeds_of_episodes)
+        generators = [seeding.np_random(world)[0] for _, world in drawn]
+        self._line_up(stage, rows, seeds_of_episodes, generators)
+        starts = begin_all(episodes, rows, seeds_of_episodes, self.newcomers)
+        stage.turnover.begin(rows, generators, seeds_of_episodes, starts)
         speeds, speed = self.speeds, episodes.cars["speed"][rows, 0]
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
         nearest = np.minimum(np.maximum(np.rint(share * (speeds.size - 1)), 0), speeds.size - 1).astype(np.int64)
         episodes.ego["belief"]["target_speed_mps"][rows] = speeds[nearest]
-        judge_rows(
-            0, rows.size, rows, episodes.cars, episodes.ego, episodes.table.lanes, episodes.rules, self.world, True
-        )
+        keep_rows(rows, episodes.ego, episodes.table.lanes, self.plans.steps, episodes.rules)
+        e = episodes
+        judge_rows(0, rows.size, rows, e.cars, stage.drivers, e.ego, e.table.lanes, e.rules, self.world, True)
         episodes.score_and_observe(rows, start=True)
         for row in rows.tolist():
             del self._drawn[waits, row]
 
-    def _line_up(self, stage: Stage, rows: Rows, seeds: list[int], world_seeds: list[int]) -> None:
+    def _line_up(
+        self, stage: Stage, rows: Rows, seeds: list[int], generators: list[np.random.Generator]
+    ) -> None:  # fmt: skip
         """Put the vehicles of environments where the generator of their world draws them, and others on their lines."""
         cars, ego, drivers, traffic = stage.episodes.cars, stage.episodes.ego, stage.drivers, stage.traffic
         wander = self.single.config.wander
         clear_rows(rows, cars, drivers, Vehicle.LENGTH, Vehicle.WIDTH)
-        for e, seed in zip(rows.tolist(), world_seeds, strict=True):
-            generator = seeding.np_random(seed)[0]
+        for e, generator in zip(rows.tolist(), generators, strict=True):
             ego["vehicles"][e] = self._start(generator, cars[e], drivers[e], traffic.profile[e])
         states = wander.states(seeds) if wander.wanders else None
-        seat_rows(rows, cars, drivers, ego, traffic.wander, states, ZIGGURAT)
+        lanes = stage.episodes.table.lanes
+        seat_rows(rows, cars, drivers, ego, traffic.wander, states, ZIGGURAT, lanes, traffic.roads.routes)
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""
@@ -229,13 +258,19 @@ class Engine:
             codes = self.codes[actions]
         else:
             self._take_up(actions)
+        if self.support.effort is not None:
+            e.ego["command"]["effort"] = self.support.effort(self.single.world, actions)
         frames = self.frames if e.epoch_steps is None else e.epoch_steps
         for frame in range(0, self.frames, frames):
             self._drive(where, frames, frame + frames == self.frames, codes)
             codes = NO_CODES
+            if self.entrance is not None and frame + frames == self.frames:
+                self._stage.turnover.step(self._stage.drivers, where)
             if e.epoch_steps is not None:
                 e.sense(where)
                 e.locate(where)
+                if self._routed:
+                    keep_rows(where, e.ego, e.table.lanes, self.plans.steps, e.rules)
                 e.perceive(where, e.times_s[where])
         e.score_and_observe(where, start=False)
 
@@ -271,6 +306,8 @@ class Engine:
         there = (s >= 0.0) & (s < own["length_m"] + PAST_END_M)
         left = (own["side"] > 0) & (np.abs(aside + width) <= 2.0 * width)
         right = (own["side"] < own["count"] - 1) & (np.abs(aside - width) <= 2.0 * width)
+        free = self.episodes.table.lanes.table["forbidden"] == 0
+        left, right = left & free[b["lane"] - 1], right & free[np.minimum(b["lane"] + 1, free.size - 1)]
         speed, every = b["target_speed_mps"], np.ones_like(there)
         return np.stack([left & there, every, right & there, speed < wanted[-1], speed > wanted[0]], -1)
 

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from lanebound.envs.vector.drivers_kernel import clear, seat
+from lanebound.envs.vector.drivers_kernel import clear, fill_onward, seat
 from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.streams_kernel import fill
@@ -49,8 +49,8 @@ def clear_rows(rows, cars, drivers, length, width):  # type: ignore[no-untyped-d
 
 
 @jit
-def seat_rows(rows, cars, drivers, egos, shapes, states, table):  # type: ignore[no-untyped-def]
-    """Put the others of the environments ``rows`` on their lines, and complete the records from the poses.
+def seat_rows(rows, cars, drivers, egos, shapes, states, table, lanes, routes):  # type: ignore[no-untyped-def]
+    """Put the others of the environments ``rows`` on their lines, and complete the records from poses and routes.
 
     shapes (S, K): of lines over time, by simulation step; states (n, 4): generators of the stream ``wander`` of the
     episodes, None where no driver leaves the middle of its lane; table: of normal draws, see
@@ -61,7 +61,10 @@ def seat_rows(rows, cars, drivers, egos, shapes, states, table):  # type: ignore
         e = rows[n]
         if states is not None:
             _spread(cars[e, : egos[e].vehicles], drivers[e], shapes[0], states[n], table, drawn)
-        seat(cars[e], drivers[e], egos[e].vehicles)
+        ego = egos[e]
+        ego.placed, ego.place, ego.route = cars[e, 0].lane, drivers[e, 0].order, drivers[e, 0].route
+        seat(cars[e], drivers[e], ego.vehicles)
+        fill_onward(cars[e, : ego.vehicles], drivers[e], ego, lanes, routes)
 
 
 @jit(inline=True)

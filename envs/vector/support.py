@@ -5,22 +5,36 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.vehicle.objects import Landmark
+
+from lanebound.envs.batch.episodes import empty_cars
+from lanebound.envs.batch.lanes import LaneTable
+from lanebound.envs.batch.lanes_kernel import NONE
+from lanebound.envs.batch.plans import Plans
 from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.vector.drive_kernel import run_city, run_course, run_motorway
+from lanebound.envs.vector.crossing_kernel import APPROACH, EXIT, INSIDE, PART, WAY, Crossing
+from lanebound.envs.vector.drive_kernel import run_course, run_motorway, run_network
+from lanebound.envs.vector.network_kernel import DRIVERS, Roads
 from lanebound.envs.worlds import Support, world_kind, world_kinds
-from lanebound.envs.worlds.idm_parameters_kernel import BRISK, CALM, IdmParameters
+from lanebound.envs.worlds.crossing import CrossingRoad, ways_through
+from lanebound.envs.worlds.idm_parameters_kernel import BRISK, CALM, IdmParameters, idm_parameters
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.records import Records, one_record
 
-__all__ = ["require_supported", "support_of", "traffic_of"]
+__all__ = ["drivers_of", "newcomers_of", "require_supported", "roads_of", "support_of", "traffic_of"]
 
 INSTEAD = "or make the same environments with vectorization_mode='sync' or 'async', for SB3 as DummyVecEnv"
 TRAFFIC: dict[str, tuple[Any, IdmParameters | None]] = {
     "course": (run_course, None),
-    "city": (run_city, CALM),
+    "city": (run_network, CALM),
+    "network": (run_network, BRISK),
+    "crossing": (run_network, None),  # highway-env's intersection gives its drivers parameters when it is made
     "motorway": (run_motorway, BRISK),
 }
-"""Kinds of compiled traffic: entry kernel, and the parameters of drivers that are compiled in."""
+"""Kinds of compiled traffic: entry kernel, and the parameters that the drivers of the world must have."""
 
 
 def support_of(config: EnvConfig) -> Support:
@@ -39,6 +53,12 @@ def support_of(config: EnvConfig) -> Support:
     return kind.support()
 
 
+def newcomers_of(config: EnvConfig, support: Support) -> int:
+    """Slots for vehicles that enter during an episode."""
+    kind = world_kind(config.base)
+    return 0 if kind is None or support.entrance is None else kind.newcomers
+
+
 def traffic_of(support: Support) -> Any:
     """The entry kernel of a world's traffic."""
     if ":" in support.traffic:
@@ -47,14 +67,77 @@ def traffic_of(support: Support) -> Any:
     return TRAFFIC[support.traffic][0]
 
 
+def drivers_of(support: Support, world: AbstractEnv) -> Records:
+    """Parameters of the other drivers on a network of roads, (1,) DRIVERS; zeros where there are none."""
+    kind: Any = support.drivers
+    if kind is None:
+        return np.zeros(1, DRIVERS)
+    idm = idm_parameters(
+        kind.DISTANCE_WANTED, kind.TIME_WANTED, kind.COMFORT_ACC_MAX, -kind.COMFORT_ACC_MIN, kind.LANE_CHANGE_DELAY,
+        kind.LANE_CHANGE_MIN_ACC_GAIN,
+    )  # fmt: skip
+    return one_record(
+        DRIVERS,
+        **idm._asdict(),
+        reaction_s=getattr(kind, "REACTION_S", 0.0),
+        stops=getattr(kind, "STOPS", False),
+        most_mps2=getattr(kind, "MOST_MPS2", np.inf),
+        rules_every=_rules_every(world),
+        joined=bool(world.config["neighbour_vehicles_connected_lanes"]),
+    )
+
+
+def _rules_every(world: AbstractEnv) -> int:
+    """Simulation steps between decisions on the right of way, 0 on roads without such a rule."""
+    hz, road = world.config["simulation_frequency"], world.road
+    return int(1 / (1 / hz) / road.REGULATION_FREQUENCY) if isinstance(road, CrossingRoad) else 0
+
+
+def roads_of(world: AbstractEnv, table: LaneTable, plans: Plans) -> Roads:
+    """What the roads of a world have beyond their lanes."""
+    return Roads(plans.steps, objects_of(world, table), _crossing_of(world, table))
+
+
+def _crossing_of(world: AbstractEnv, table: LaneTable) -> Crossing:
+    """The crossing of a world; one without lanes where drivers have no right of way."""
+    if not isinstance(world.road, CrossingRoad):
+        return Crossing(np.zeros(0, PART), np.zeros(0, WAY), np.zeros((0, 0, 2)))
+    found = ways_through(world.road.network)
+    parts, ways = np.zeros(len(table.index), PART), np.zeros(len(found), WAY)
+    parts["way"] = NONE
+    for part, (start, end, _) in zip(parts, table.index, strict=True):
+        part["kind"] = APPROACH if end.startswith("ir") else EXIT if start.startswith("il") else INSIDE
+    for n, ((start, end), way) in enumerate(found.items()):
+        lane = table.row[start, end, 0]
+        parts["way"][lane] = n
+        leading = next(row for (_, to, _), row in table.row.items() if to == start)
+        onward = next(row for (begin, _, _), row in table.row.items() if begin == end)
+        ways[n] = lane, leading, onward, way.priority
+    spans = np.full((len(found), len(found), 2), np.nan)
+    for n, way in enumerate(found.values()):
+        for k, other in enumerate(found):
+            spans[n, k] = way.shared.get(other, (np.nan, np.nan))
+    return Crossing(parts, ways, spans)
+
+
+def objects_of(world: AbstractEnv, table: LaneTable) -> Records:
+    """What stands on the road of a world, (O,) CAR."""
+    found = [thing for thing in world.road.objects if not isinstance(thing, Landmark)]
+    out = empty_cars(1, len(found))[0]
+    for car, thing in zip(out, found, strict=True):
+        (car["x"], car["y"]), car["heading"] = thing.position, thing.heading
+        car["length"], car["width"], car["lane"] = thing.LENGTH, thing.WIDTH, table.row[thing.lane_index]
+    return out
+
+
 def require_supported(single: DrivingEnv) -> None:
     """Raise ConfigError for an option that the engine does not have; the message names the alternatives."""
     config, world = single.config, single.world
     support = support_of(config)
     _require_sources(config)
     kind = world_kind(config.base)
-    if kind is not None and kind.arrived is not None:
-        raise _refusal("base", "a world without a goal", config.base)
+    if kind is not None and kind.arrived is not None and "goal_road" not in support.ends(world):
+        raise _refusal("base", "a world without a goal, or whose support declares it", config.base)
     for name, allowed, value in support.refusals(world):
         raise _refusal(name, allowed, value)
     idm = TRAFFIC.get(support.traffic, (None, None))[1]
@@ -62,6 +145,8 @@ def require_supported(single: DrivingEnv) -> None:
         _require_drivers(support.drivers, idm)
     if world.config.get("vehicles_count", 0) > config.slots:
         raise _refusal("world.vehicles_count", f"at most slots = {config.slots}", world.config["vehicles_count"])
+    if (others := support.vehicles(world) - 1) > config.slots:
+        raise _refusal("slots", f"{others} or more, as many as others there may be at a start", config.slots)
     if config.action is ActionKind.CONTINUOUS and world.action_type.dynamical:
         raise _refusal("action_options.dynamical", "False", True)
 

@@ -2,6 +2,8 @@
 
 from lanebound.envs.worlds.goals import has_crossed, has_left_roundabout, has_merged
 from lanebound.envs.worlds.highway import motorway_support
+from lanebound.envs.worlds.intersection import intersection_support
+from lanebound.envs.worlds.junctions import merge_support, racetrack_support, roundabout_support
 from lanebound.envs.worlds.kinds import (
     Support,
     WorldKind,
@@ -29,12 +31,14 @@ for _kind in (
     WorldKind("CarFollowingWorld", CarFollowingWorld, CarFollowingWorld.support),
     WorldKind("UrbanCanyonWorld", UrbanCanyonWorld, UrbanCanyonWorld.support),
     WorldKind("highway-v0", None, motorway_support),
-    WorldKind("intersection-v0", None, newcomers=24, arrived=has_crossed),
-    WorldKind("intersection-v1", None, newcomers=24, arrived=has_crossed),
-    WorldKind("intersection-v2", None, newcomers=24, continuous="intersection-v1", arrived=has_crossed),
-    WorldKind("merge-v0", None, arrived=has_merged),
-    WorldKind("merge-v1", None, arrived=has_merged),
-    WorldKind("roundabout-v0", None, arrived=has_left_roundabout),
-    WorldKind("roundabout-v1", None, arrived=has_left_roundabout),
+    WorldKind("intersection-v0", None, intersection_support, 24, arrived=has_crossed),
+    WorldKind("intersection-v1", None, intersection_support, 24, arrived=has_crossed),
+    WorldKind("intersection-v2", None, intersection_support, 24, "intersection-v1", arrived=has_crossed),
+    WorldKind("racetrack-v0", None, racetrack_support),
+    WorldKind("racetrack-v1", None, racetrack_support),
+    WorldKind("merge-v0", None, merge_support, arrived=has_merged),
+    WorldKind("merge-v1", None, merge_support, arrived=has_merged),
+    WorldKind("roundabout-v0", None, roundabout_support, arrived=has_left_roundabout),
+    WorldKind("roundabout-v1", None, roundabout_support, arrived=has_left_roundabout),
 ):
     register_world(_kind)

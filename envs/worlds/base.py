@@ -18,6 +18,7 @@ from lanebound.envs.worlds.kinds import Starter, Support
 from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.envs.worlds.networks import Section, StreetNetwork
 from lanebound.envs.worlds.roads import StreetRoad
+from lanebound.envs.worlds.seating import put_on_lane
 from lanebound.integrity.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -240,8 +241,6 @@ class World(AbstractEnv):  # type: ignore[misc]
 
 def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
     """Starter that writes the initial states drawn by a world to the records of the engine."""
-    from lanebound.envs.batch.lanes_kernel import nearest
-
     network, delay = world.road.network, getattr(world.OTHERS, "LANE_CHANGE_DELAY", 1.0)
 
     def start(rng: np.random.Generator, cars: Records, drivers: Records, profile: Array) -> int:
@@ -251,12 +250,8 @@ def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
         if speeds is not None:
             profile[:] = speeds
         for car, driver, seat in zip(cars, drivers, seats, strict=False):  # cars beyond the seats are empty places
-            lane = network.get_lane(seat.lane_index)
-            (x, y), heading = lane.position(seat.along_m, 0.0), float(lane.heading_at(seat.along_m))
-            car["x"], car["y"], car["heading"], car["speed"] = x, y, heading, seat.speed_mps
-            car["lane"] = driver["target"] = nearest(table.lanes, float(x), float(y), heading)
-            driver["target_speed"], driver["delta"] = seat.target_mps, seat.exponent
-            driver["timer"] = (np.sum([x, y]) * np.pi) % delay
+            lane, rest = network.get_lane(seat.lane_index), (seat.target_mps, seat.exponent, delay)
+            put_on_lane(car, driver, table, lane, seat.along_m, seat.speed_mps, *rest)
         return len(seats)
 
     return start

@@ -114,6 +114,8 @@ class CityDriver(IDMVehicle):  # type: ignore[misc]
     COMFORT_ACC_MIN = -CALM.deceleration
     LANE_CHANGE_DELAY = CALM.delay_s
     LANE_CHANGE_MIN_ACC_GAIN = CALM.gain
+    REACTION_S = REACTION_S
+    STOPS = True
 
     def acceleration(
         self, ego_vehicle: Vehicle | None, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
@@ -124,8 +126,8 @@ class CityDriver(IDMVehicle):  # type: ignore[misc]
         if ego_vehicle is not self or advised_speed is None:
             return free
         s = self.lane.local_coordinates(self.position)[0]
-        advised = advised_speed(s + max(self.speed, 0.0) * REACTION_S)
-        return min(free, float((advised - self.speed) / REACTION_S))
+        advised = advised_speed(s + max(self.speed, 0.0) * self.REACTION_S)
+        return min(free, float((advised - self.speed) / self.REACTION_S))
 
     def step(self, dt: float) -> None:
         """Move; braking ends at standstill, because IDM alone would reverse."""
@@ -149,6 +151,8 @@ class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
     may_enter : whether it goes through, set by that road
     """
 
+    STOPS = True
+    MOST_MPS2 = START_MPS2
     movement: tuple[str, str] | None = None
     may_enter: bool = False
 

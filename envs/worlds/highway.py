@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
     from lanebound.integrity.core.records import Records
 
-__all__ = ["IDM_PATH", "motorway_support"]
+__all__ = ["IDM_PATH", "motorway_support", "only_idm"]
 
 IDM_PATH = "highway_env.vehicle.behavior.IDMVehicle"
 
@@ -28,7 +28,7 @@ def motorway_support() -> Support:
         vehicles=lambda world: len(world.road.vehicles),
         starter=_lined_up,
         ends=_ends,
-        refusals=_refusals,
+        refusals=only_idm,
         drivers=IDMVehicle,
     )
 
@@ -59,6 +59,7 @@ def _ends(world: AbstractEnv) -> Mapping[str, Any]:
     }  # fmt: skip
 
 
-def _refusals(world: AbstractEnv) -> list[Refusal]:
+def only_idm(world: AbstractEnv) -> list[Refusal]:
+    """Refuse drivers other than those of highway-env's own class."""
     found = world.config["other_vehicles_type"]
     return [] if found == IDM_PATH else [("world.other_vehicles_type", IDM_PATH, found)]

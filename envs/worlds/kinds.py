@@ -19,9 +19,11 @@ from lanebound.integrity.core.presets import require_registered
 
 if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
+    from lanebound.envs.batch.plans import Plans
     from lanebound.integrity.core.records import Records
 
 __all__ = [
+    "Entrance",
     "Refusal",
     "Starter",
     "Support",
@@ -35,8 +37,17 @@ __all__ = [
 Starter = Callable[[np.random.Generator, "Records", "Records", np.ndarray[Any, Any]], int]
 """Fills the vehicles of one environment, (V,) CAR and DRIVER, and its speed profile (S,) from a generator; returns the
 number of vehicles."""
+Entrance = Callable[[np.random.Generator, "Records", "Records", int], int]
+"""Puts a vehicle that enters behind the others of an environment, (V,) CAR and DRIVER, of which there are so many;
+returns the number after that."""
 Refusal = tuple[str, str, object]
 """An option that the engine does not have: its name, the allowed values, and the value given."""
+
+
+def _no_plans(world: AbstractEnv, table: LaneTable) -> Plans:
+    from lanebound.envs.batch.plans import Plans
+
+    return Plans(world.road.network, table)
 
 
 @dataclass(frozen=True)
@@ -45,13 +56,18 @@ class Support:
 
     Attributes
     ----------
-    traffic : kind of compiled traffic, ``course``, ``city`` or ``motorway``, or ``package.module:kernel`` of one's own
-    vehicles : largest number of vehicles in an episode, the ego included
+    traffic : kind of compiled traffic, ``course``, ``city``, ``network``, ``crossing`` or ``motorway``, or
+        ``package.module:kernel`` of one's own
+    vehicles : largest number of vehicles at the start of an episode, the ego included
     starter : the start of episodes; it uses only the configuration and the lanes of the world
     ends : fields of the record WORLD: end rules and the reward of the world
     profile_steps : length of the speed profile of other vehicles, 1 for none
     refusals : options of the world that the engine does not have
-    drivers : class of the other vehicles, whose constants must equal the compiled ones
+    drivers : class of the other vehicles, whose constants must equal those of the kind of traffic
+    plans : routes that the vehicles may have
+    effort : what the world's own reward takes of actions (N, ...) -> (N,); None for nothing
+    before : simulation steps of the traffic before an episode
+    entrance : vehicles that enter during an episode, between policy steps; None for none
     """
 
     traffic: str
@@ -61,6 +77,10 @@ class Support:
     profile_steps: Callable[[AbstractEnv], int] = field(default=lambda world: 1)
     refusals: Callable[[AbstractEnv], list[Refusal]] = field(default=lambda world: [])
     drivers: type | None = None
+    plans: Callable[[AbstractEnv, LaneTable], Plans] = field(default=_no_plans)
+    effort: Callable[[AbstractEnv, np.ndarray[Any, Any]], np.ndarray[Any, Any]] | None = None
+    before: Callable[[AbstractEnv], int] = field(default=lambda world: 0)
+    entrance: Callable[[AbstractEnv, LaneTable], Entrance] | None = None
 
 
 @dataclass(frozen=True)

@@ -455,7 +455,10 @@ def test_unknown_options_and_commands_before_the_start_are_refused() -> None:
     [
         ({"start_s": 60.0}, r"options\.faults\.1\.start_s must be before the end of the episode, 60 s, got 60"),
         ({"vehicle": 1}, r"options\.faults\.1\.vehicle must be below 1, .*, got 1"),
-        ({"kind": "satellite_range", "system": 0, "prn": 99}, r"options\.faults\.1\.prn must be .*, got 99: it has 1, "),
+        (
+            {"kind": "satellite_range", "system": 0, "prn": 99},
+            r"options\.faults\.1\.prn must be .*, got 99: it has 1, ",
+        ),
     ],
 )
 def test_faults_that_cannot_act_are_refused(fault: dict[str, Any], message: str) -> None:
@@ -467,7 +470,9 @@ def test_faults_that_cannot_act_are_refused(fault: dict[str, Any], message: str)
 def test_a_longer_duration_holds_against_that_of_the_world() -> None:
     config = light(LANE_KEEPING, policy_hz=1, navigation={"source": "perfect"}, off_road_ends=False)
     for world_s, duration_s, steps in ((2, 3.0, 3), (4, 3.0, 3), (2, None, 2)):
-        env = DrivingEnv(make_config(LANE_KEEPING, {**config, "world": {"duration": world_s}, "duration_s": duration_s}))
+        env = DrivingEnv(
+            make_config(LANE_KEEPING, {**config, "world": {"duration": world_s}, "duration_s": duration_s})
+        )
         env.reset(seed=0)
         ends = [env.step(np.zeros(2, np.float32))[3] for _ in range(steps)]
         assert ends == [False] * (steps - 1) + [True], (world_s, duration_s)

@@ -17,13 +17,12 @@ import pytest
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.benchmark.work import expected_s
 from lanebound.agents.episodes import open_env
-from lanebound.envs import IDS, DrivingEnv, make_config
+from lanebound.envs import IDS, make_config
 from lanebound.envs.ids import CONTINUOUS, LaneKeeping, Preset, register_id, withdraw_id
 from lanebound.envs.observation import Entry, ObservationConfig, describe, entries, register_entry, withdraw_entry
-from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.env import engines
 from lanebound.envs.worlds import WorldKind, register_world
-from lanebound.envs.worlds.base import World
+from lanebound.envs.worlds.base import Seat, World
 from lanebound.envs.worlds.networks import StreetNetwork
 from lanebound.envs.worlds.paths import Path, straight
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -141,8 +140,10 @@ def test_its_navigation_is_the_same_as_well(hairpin: ModuleType) -> None:
     assert tally.steps == 25
 
 
-def test_the_engine_refuses_roads_that_fork(hairpin: ModuleType) -> None:
+def test_roads_that_fork_are_the_same_alone_and_in_the_engine(hairpin: ModuleType) -> None:
     class ForkWorld(hairpin.HairpinWorld):  # type: ignore[name-defined, misc]
+        ENDS_M = None
+
         def _network(self) -> StreetNetwork:
             network = super()._network()
             end = network.get_lane(("start", "end", 0)).path.pose[-1]
@@ -150,10 +151,19 @@ def test_the_engine_refuses_roads_that_fork(hairpin: ModuleType) -> None:
                 network.add_road(("end", node), Path.of(end, straight(100.0)), 1, 3.25)
             return network
 
+        def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], None]:
+            return [Seat(("start", "end", 0), self.road.network.get_lane(("start", "end", 0)).length - 20.0, 8.0)], None
+
+    class Fork(Preset):
+        PRESET = {"base": "ForkWorld", **CONTINUOUS}  # noqa: RUF012
+
     register_world(WorldKind("ForkWorld", ForkWorld, ForkWorld.support))
-    made = DrivingEnv({"base": "ForkWorld", **CONTINUOUS, **PERFECT})
-    with pytest.raises(ConfigError, match=r"base must have roads without forks .*, got 'ForkWorld': choose another"):
-        Engine(made, 1)
+    register_id(Fork)
+    single, engine = pair("Fork", {**PERFECT, "action": "meta"})
+    tally = Tally()
+    drive(single, engine, 1, tally, 20)
+    require_equal(tally)
+    assert single.world.vehicle.lane_index[0] == "end"
 
 
 def test_a_benchmark_expects_the_time_that_its_preset_declares(hairpin: ModuleType) -> None:

@@ -16,6 +16,8 @@ from side_by_side import PERFECT, Tally, drive, pair, require_equal
 
 DENSE: dict[str, Any] = {"world": {"vehicles_count": 16, "vehicles_density": 1.8}, **PERFECT}
 CROWDED: dict[str, Any] = {"world": {"vehicles_count": 24, "spread": [-80.0, 160.0]}, **PERFECT}
+LAPS: dict[str, Any] = {"off_road_ends": False, "wrong_way_s": 1000.0, "duration_s": 40.0, **PERFECT,
+                        "world": {"terminate_off_road": False, "other_vehicles": 5}}  # fmt: skip
 
 
 class Comparison(NamedTuple):
@@ -49,6 +51,13 @@ COMPARISONS = (
     Comparison("UrbanCanyon, meta", "UrbanCanyon", PERFECT, 93, 20),
     Comparison("UrbanCanyon, meta", "UrbanCanyon", CROWDED, 60, 6),
     Comparison("UrbanCanyon, continuous", "UrbanCanyon", {**CROWDED, "action": "continuous"}, 60, 2),
+    Comparison("Racetrack, continuous", "Racetrack", PERFECT, 40, 0),
+    Comparison("Racetrack, continuous", "Racetrack", LAPS, 20, 2),
+    Comparison("Merge, both", "Merge", PERFECT, 40, 2),
+    Comparison("Merge, both", "Merge", {**PERFECT, "action": "continuous"}, 20, 0),
+    Comparison("Roundabout, meta", "Roundabout", PERFECT, 60, 15),
+    Comparison("Roundabout, continuous", "Roundabout", {**PERFECT, "action": "continuous"}, 20, 0),
+    Comparison("Intersection, meta", "Intersection", PERFECT, 60, 30),
 )
 
 

@@ -11,6 +11,7 @@ from replay_kernel import FIELDS, run_replay
 from lanebound.envs.batch.infos import form_of, infos_of, results, single_info
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
+from lanebound.envs.seats import _onward
 from lanebound.envs.vector.engine import Engine
 from side_by_side import POSE, command, flat, newest, poses
 
@@ -65,8 +66,9 @@ class Replay:
             sense()
             out = np.zeros((len(FIELDS), places))
             for i, v in enumerate(loop.world.road.vehicles):
-                lane = loop.episodes.table.row[v.lane_index]
-                out[:, i] = v.position[0] + self.shift_m, v.position[1], v.heading, v.speed, lane, v.crashed
+                row = loop.episodes.table.row
+                pose = v.position[0] + self.shift_m, v.position[1], v.heading, v.speed
+                out[:, i] = *pose, row[v.lane_index], v.crashed, _onward(v, row)
             poses.append(out)
 
         loop.sense = noting  # type: ignore[method-assign]

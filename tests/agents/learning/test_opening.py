@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
 import numpy as np
 import pytest
 from experiments import experiment
 
 from lanebound.agents.benchmark.suite import SPLITS
 from lanebound.agents.learning.opening import episode_seeds, for_judging, for_learning
+from lanebound.envs.ids import META, Preset, register_id
 from lanebound.integrity.core.errors import ConfigError
 
 GIVEN = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 2.0}
@@ -52,7 +56,11 @@ def test_what_the_filter_changes_costs_reward_in_training_alone() -> None:
 
 
 def test_an_engine_where_there_is_none_is_refused_in_the_words_of_an_experiment() -> None:
+    class TwoWay(Preset):
+        PRESET: ClassVar[Mapping[str, Any]] = {"base": "two-way-v0", **META}
+
+    register_id(TwoWay)
     with pytest.raises(
-        ConfigError, match=r"^engine must be left out for Merge-v0, got true: the vector engine supports .*Highway"
+        ConfigError, match=r"^engine must be left out for TwoWay-v0, got true: the vector engine supports .*Highway"
     ):
-        for_judging(experiment(env="Merge", engine=True), 1)
+        for_judging(experiment(env="TwoWay", engine=True), 1)

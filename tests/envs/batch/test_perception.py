@@ -149,7 +149,7 @@ def test_a_new_vehicle_inherits_nothing_from_the_slot() -> None:
     street, old = Street(v2v={**CLEAR, "latency_s": 0.2}), cars_at([[0, 0], [20, 0]])
     for _ in range(5):
         street.step(old)
-    street.picture.enter(0, 777, 5.0, 2.0)
+    street.picture.enter(0, 0, 777, 5.0, 2.0)
     counts = [street.step(old) for _ in range(4)]
     assert [t.count for t in counts] == [0, 0, 1, 1]  # nor what the old one had under way
     assert counts[2].key[0] == 777

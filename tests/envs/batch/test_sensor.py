@@ -170,5 +170,5 @@ def test_a_track_out_of_sight_ages_and_moves_with_the_egos_odometry_not_with_its
     track = sensor.look(believe(1.0 + 3.0, -1.0, speed_mps=10.0), hidden)[1]  # the solution jumps by (3, -1)
     np.testing.assert_allclose(track["time_s"], 0.1)
     np.testing.assert_allclose([track["x_m"], track["y_m"]], [40.0 + 3.0, -1.0])  # where it was, by the new reckoning
-    sensor.batch.enter(1, 9, 5.0, 2.0)
+    sensor.batch.enter(0, 1, 9, 5.0, 2.0)
     assert math.isinf(sensor.look(believe(), hidden)[1]["time_s"])

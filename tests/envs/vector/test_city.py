@@ -10,8 +10,8 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from lanebound.envs.batch import lanes_kernel as lk
 from lanebound.envs.batch.lanes import lane_table
-from lanebound.envs.vector import city_kernel as city
 from lanebound.envs.vector import idm_kernel as idm
+from lanebound.envs.vector import network_kernel as network_traffic
 from lanebound.envs.vector.drivers_kernel import clear, seat
 from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.envs.worlds.idm_parameters_kernel import CALM
@@ -68,8 +68,6 @@ def test_lanes_hold_and_advise_as_the_objects() -> None:
     lanes, found = table.lanes, 0
     for n, index in enumerate(table.index):
         lane = network.get_lane(index)
-        before = table.index[lanes.table[n]["before"]]
-        assert (before[1], before[2]) == (index[0], index[2])
         for s in (-9.0, 0.0, lane.length, lane.length + 30.0, *rng.uniform(0.0, lane.length, 40)):
             assert lk.advised(lanes, n, s) == lane.advised_speed(s)
             point = lane.position(s, float(rng.uniform(-4.0, 4.0)))
@@ -91,11 +89,11 @@ def test_neighbours_are_found_across_the_ends_of_roads() -> None:
         network, table = world.road.network, lane_table(world.road.network)
         v = driving(*_started(world, seed))
         places = np.empty((v.x.size, len(table.index)))
-        city.place_all.py_func(v, table.lanes, places)
+        network_traffic.place_all.py_func(v, table.lanes, places)
         there = world.road.vehicles
         for i, vehicle in enumerate(there):
             for index in network.all_side_lanes(vehicle.lane_index):
-                got = city._neighbours(v, table.lanes, places, table.row[index], i)
+                got = network_traffic._neighbours(v, table.lanes, places, table.row[index], i, 1)
                 wanted = world.road.neighbour_vehicles(vehicle, index)
                 assert got == tuple(-1 if other is None else there.index(other) for other in wanted)
                 across += any(other is not None and other.lane_index[:2] != index[:2] for other in wanted)

@@ -17,7 +17,7 @@ DT_S = 0.05
 
 @jit
 def _all(v):  # type: ignore[no-untyped-def]
-    collide_all(v, DT_S)
+    collide_all(v, v.x.size, 0, DT_S)
 
 
 @jit

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pickle
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -12,6 +13,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
 import lanebound.envs  # noqa: F401 - registers the ids
+from lanebound.envs.ids import META, Preset, register_id
 from lanebound.envs.vector.env import (
     VectorCarFollowing,
     VectorDrivingEnv,
@@ -164,7 +166,7 @@ def test_drivers_that_something_has_rewritten_are_refused(monkeypatch: pytest.Mo
     [
         ({"world": {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}}, "other_vehicles_type"),
         ({"base": "two-way-v0"}, "base"),
-        ({"base": "merge-v1", "world": {}}, "sync"),
+        ({"base": "two-way-v0", "world": {}}, "sync"),
         ({"slots": 3}, "slots"),
         ({"action": "continuous", "action_options": {"dynamical": True}}, "dynamical"),
         ({"simulation_hz": 20, "policy_hz": 4, "navigation": {"source": "perfect", "rate_hz": 2.5}}, "policy_hz"),
@@ -197,7 +199,11 @@ def test_what_the_city_cannot_do_is_refused(change: dict[str, Any], message: str
         VectorUrbanCanyon(2, {**PERFECT, **change})
 
 
-@pytest.mark.parametrize(("name", "seconds"), [("LaneKeeping", 0.6), ("CarFollowing", 0.6), ("UrbanCanyon", 1.5)])
+@pytest.mark.parametrize(
+    ("name", "seconds"),
+    [("LaneKeeping", 0.6), ("CarFollowing", 0.6), ("UrbanCanyon", 1.5), ("Racetrack", 0.6), ("Merge", 1.5),
+     ("Roundabout", 1.5), ("Intersection", 1.5)],
+)  # fmt: skip
 def test_the_default_configuration_has_an_engine(name: str, seconds: float) -> None:
     engine = gymnasium.make_vec(f"lanebound/{name}-v0", 2, config={"sky": "open", "duration_s": seconds})
     assert engine.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
@@ -213,8 +219,12 @@ def test_the_default_configuration_has_an_engine(name: str, seconds: float) -> N
 
 
 def test_an_id_without_an_engine_says_so() -> None:
+    class TwoWay(Preset):
+        PRESET: ClassVar[Mapping[str, Any]] = {"base": "two-way-v0", **META}
+
+    register_id(TwoWay)
     with pytest.raises(gymnasium.error.Error, match="vector entry point"):
-        gymnasium.make_vec("lanebound/Merge-v0", 2, vectorization_mode="vector_entry_point")
+        gymnasium.make_vec("lanebound/TwoWay-v0", 2, vectorization_mode="vector_entry_point")
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,12 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("CarFollowing", {"sky": "open", "navigator": "services/sbas_l1"}, 8),
     ("CarFollowing", {"sky": "open", **NEAR}, 8),
     ("Highway", {**FEW, **SENSOR, **NEAR}, 5),
+    ("Racetrack", {"sky": "open", "layouts": 1}, 8),
+    ("Merge", {"sky": "urban", "layouts": 1, **BOTH}, 8),
+    ("Roundabout", {"sky": "urban", "layouts": 1}, 12),
+    ("Roundabout", {"sky": "open", "layouts": 1, **SENSOR, "observation": {"integrity": "oracle"}}, 6),
+    ("Intersection", {"sky": "open", "layouts": 1}, 14),
+    ("Intersection", {"sky": "open", "layouts": 1, **TRUTH}, 8),
 ]
 
 
@@ -136,6 +142,7 @@ COLD: dict[str, Any] = {"navigator": {"imu": {"mems_exponential": True}}}
         ("LaneKeeping", {"sky": "open", "layouts": 2, "navigator": OUTAGES["navigator"] | COLD["navigator"]}),
         ("Highway", {**FEW, **OUTAGES}),
         ("UrbanCanyon", {**CITY, **BOTH}),
+        ("Intersection", {"sky": "open", "layouts": 1, **BOTH, "world": {"spawn_probability": 0.5}}),
     ],
 )
 def test_later_episodes_are_those_of_the_single_one(name: str, config: dict[str, Any]) -> None:

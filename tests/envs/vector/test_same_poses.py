@@ -33,6 +33,10 @@ OTHERS: list[tuple[str, dict[str, Any]]] = [
     ("LaneKeeping", {"navigation": {"source": "offset", "offset_at_m": 0.7, "offset_ct_m": -0.4}}),
     ("CarFollowing", {"sky": "open", "navigator": {"corrections": {"outage_per_h": 900.0}}}),
     ("Highway", {"action": "continuous", "actuators": None, "keep_lane": False, "reward": {"base": 0.5}}),
+    ("Racetrack", {}),
+    ("Merge", {}),
+    ("Roundabout", {}),
+    ("Roundabout", {"navigation": {"source": "perfect"}, "observation": {"integrity": "oracle"}}),
 ]
 
 
@@ -62,7 +66,7 @@ def test_every_bit_is_the_same(name: str, source: str, shown: str, action: str, 
 
 @pytest.mark.parametrize(("name", "config"), OTHERS)
 def test_every_bit_of_other_configurations_is_the_same(name: str, config: dict[str, Any]) -> None:
-    _require_equal(name, {**CITY, "world": WORLDS[name], **config}, 12)
+    _require_equal(name, {**CITY, "world": WORLDS.get(name, {}), **config}, 12)
 
 
 def test_a_pose_that_differs_is_found() -> None:
