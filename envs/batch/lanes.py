@@ -194,10 +194,24 @@ def _fill(entry: Any, lane: AbstractLane, parts: _Parts) -> None:
         entry["advice_first"], entry["advice_last"] = parts.advice.add(speeds)
     elif kind is not StraightLane:
         entry["kind"] = lk.SAMPLED
+    if kind is SineLane or kind is CircularLane:
+        _enclose(entry, lane)
     if kind is not StraightLane and kind is not CircularLane:
         nodes = _nodes(lane)
         entry["node_first"], last = parts.nodes.add(nodes)
         entry["node_count"], entry["node_step_m"] = last - entry["node_first"], lane.length / len(nodes)
+
+
+def _enclose(entry: Any, lane: AbstractLane) -> None:
+    """The squares about a sine or circular lane: all that it holds by a margin of 1 m, and half a metre more."""
+    points = np.array(
+        [lane.position(s, 0.0) for s in np.linspace(0.0, lane.length, ceil(lane.length / NODE_STEP_M) + 1)]
+    )
+    slope = float(abs(entry["amplitude_m"] * entry["pulsation_radpm"]))
+    reach = 0.5 * entry["width_m"] + 1.5 + lk.PAST_END_M * (1.0 + slope)
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    entry["grid_x_m"], entry["grid_y_m"] = low
+    entry["grid_columns"], entry["grid_rows"] = np.ceil((high - low) / lk.SQUARE_M).astype(np.int64)
 
 
 def _nodes(lane: AbstractLane) -> list[Any]:

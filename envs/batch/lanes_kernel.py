@@ -64,7 +64,7 @@ LANE = record(
     offset_m="of a curve from its path, to the right",
     cell_first=("i8", "first cell of the path"),
     cell_last=("i8", "row after the last cell"),
-    grid_x_m="corner of the grid of squares about the path, x",
+    grid_x_m="corner of the grid of squares about the path of a curve, or about a sine or circular lane, x",
     grid_y_m="corner of the grid, y",
     grid_columns=("i8", "squares of the grid along x"),
     grid_rows=("i8", "squares of the grid along y"),
@@ -350,7 +350,7 @@ def width_at(lanes, n, s):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def _away(lane, x, y):  # type: ignore[no-untyped-def]
-    """A distance that no lane beside a path is nearer than, and past 0 holds no point: to the squares of the path."""
+    """A distance that the lane is not nearer than, and past 0 holds no point: to its squares; not of other kinds."""
     beyond_x, beyond_y = x - lane.grid_x_m - SQUARE_M * lane.grid_columns, y - lane.grid_y_m - SQUARE_M * lane.grid_rows
     return max(lane.grid_x_m - x, beyond_x, lane.grid_y_m - y, beyond_y, 0.0)
 
@@ -386,6 +386,8 @@ def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
                 foot, into, lateral = _project(lanes, lane, x, y)
                 projected = lane.cell_first
             s, r, direction = _on_path(lanes.cells, lane, foot, into, lateral)
+        elif lane.kind != SAMPLED and _away(lane, x, y) > least * (1.0 + abs(lane.amplitude_m * lane.pulsation_radpm)):
+            continue  # past its ends a sine lane goes on as steeply as it may
         elif lane.kind == CIRCLE:
             s, r, direction = _on_circle(lane, x, y)
         else:
@@ -419,7 +421,10 @@ def closest(lanes, x, y, heading, extra_m):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def stations(lanes, x, y, margin, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` (L,): station of a point on each lane, ``NOWHERE_M`` on lanes that do not hold it by a margin."""
+    """Fill ``out`` (L,): station of a point on each lane, ``NOWHERE_M`` on lanes that do not hold it by a margin.
+
+    margin: 1 m at most.
+    """
     projected, foot, into, lateral = -1, 0, 0.0, 0.0
     for n in range(lanes.table.shape[0]):
         lane = lanes.table[n]
@@ -431,6 +436,8 @@ def stations(lanes, x, y, margin, out):  # type: ignore[no-untyped-def]
                 foot, into, lateral = _project(lanes, lane, x, y)
                 projected = lane.cell_first
             s, r, _ = _on_path(lanes.cells, lane, foot, into, lateral)
+        elif (lane.kind == CIRCLE or lane.kind == SINE) and _away(lane, x, y) > 0.0:
+            continue
         else:
             s, r, _ = local(lanes, n, x, y)
         if on_lane(lanes, n, s, r, margin):
