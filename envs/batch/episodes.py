@@ -31,7 +31,6 @@ from lanebound.envs.batch.sky_ahead_kernel import Ahead
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation.index import Observed, entries, sources_of
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.compile_ahead import compile_beside
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records
 
@@ -115,7 +114,6 @@ class Episodes:
         exact = not (rules["offset_at_m"][0] or rules["offset_ct_m"][0])
         alike = exact and navigation is None and not perceives(config.perception)
         self.epoch_steps = None if alike else config.navigation.steps_per_epoch(config.simulation_hz)
-        compile_beside(rk.conclude_rows, 0, 0, *self._to_conclude(np.zeros(0, dtype=np.int64), True))
 
     @property
     def table(self) -> LaneTable:
@@ -228,19 +226,16 @@ class Episodes:
 
     def score_and_observe(self, rows: Rows, start: bool) -> None:
         """Score a policy step, or a start, find what is shown of the egos, and fill the frames."""
-        run_rows(rk.conclude_rows, rows.size, *self._to_conclude(rows, start), row_us=CONCLUDE_US)
-        if self._extra:
-            self._fill_extra(rows)
-
-    def _to_conclude(self, rows: Rows, start: bool) -> tuple[Any, ...]:
-        """Arguments of :func:`.rows_kernel.conclude_rows`."""
         p, n, ahead = self.perception.pictures, self.navigation, None
         if n is not None and self._sensed and self.views.sky.size:
             ahead = Ahead(n.where, n.forecast, n.sky)
-        return (
-            rows, self.cars, self.ego, p.picture, p.perceived, self.path_of, self.table.lanes, self.routes.map,
-            self.rules, self.views, ahead, self._sources, self.frame, start,
+        run_rows(
+            rk.conclude_rows, rows.size, rows, self.cars, self.ego, p.picture, p.perceived, self.path_of,
+            self.table.lanes, self.routes.map, self.rules, self.views, ahead, self._sources, self.frame, start,
+            row_us=CONCLUDE_US,
         )  # fmt: skip
+        if self._extra:
+            self._fill_extra(rows)
 
     def _fill_extra(self, rows: Rows) -> None:
         """Fill the entries whose sources are functions."""

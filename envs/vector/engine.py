@@ -31,7 +31,6 @@ from lanebound.envs.vector.support import (
 from lanebound.envs.vector.turnover import Turnover
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.compile_ahead import compile_beside
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT
 
@@ -142,7 +141,6 @@ class Engine:
         self._begun = np.zeros(count, dtype=np.bool_)  # whether an environment has had an episode
         self._ahead = max(1, PREPARED // count)
         self._waits = np.zeros(count, dtype=np.int64)  # how many next ones are ready
-        compile_beside(self._kernel, 0, 0, *self._to_drive(self._everyone, 1, True, self.codes))
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the functions of the world."""
@@ -279,14 +277,10 @@ class Engine:
 
         Where the policy step ``ends`` with them, end rules and reward of the wrapped world judge it.
         """
-        row_us = VEHICLE_FRAME_US * frames * self.episodes.cars.shape[1]
-        run_rows(self._kernel, rows.size, *self._to_drive(rows, frames, ends, codes), row_us=row_us)
-
-    def _to_drive(self, rows: Rows, frames: int, ends: bool, codes: Rows) -> tuple[Any, ...]:
-        """Arguments of the kernels of :mod:`.drive_kernel`."""
         e, stage = self.episodes, self._stage
-        return (
-            rows, frames, ends, codes, e.cars, stage.drivers, e.ego, e.motions, e.table.lanes, e.rules, stage.traffic,
+        run_rows(
+            self._kernel, rows.size, rows, frames, ends, codes, e.cars, stage.drivers, e.ego, e.motions,
+            e.table.lanes, e.rules, stage.traffic, row_us=VEHICLE_FRAME_US * frames * e.cars.shape[1],
         )  # fmt: skip
 
     def _take_up(self, actions: NDArray[Any]) -> None:

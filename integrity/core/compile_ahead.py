@@ -2,10 +2,9 @@
 
 Numba compiles under one lock, so that threads do not help. The second process compiles into the cache on disk, where
 this process finds the result. Both take kernels from one list: this process in the order in which it calls them, the
-second one those with the most source code first, then kernels that :func:`compile_beside` has added. A kernel goes
-back on the list when the second process dies, cannot receive it, or has finished none for ``LIMIT_S``. Without a cache,
-a second processor or permission to start a process this process compiles alone; so do worker processes, of pytest-xdist
-too, which share the processors already.
+second one those with the most source code first. A kernel goes back on the list when the second process dies, cannot
+receive it, or has finished none for ``LIMIT_S``. Without a cache, a second processor or permission to start a
+process this process compiles alone; so do worker processes, of pytest-xdist too, which share the processors already.
 """
 
 # mypy: allow-untyped-calls
@@ -32,7 +31,7 @@ import numba
 from lanebound.integrity.core.kernel_cache import sources_of
 from lanebound.integrity.core.kernel_dispatcher import Kernel
 
-__all__ = ["Ahead", "compile_beside", "serve"]
+__all__ = ["Ahead", "serve"]
 
 VARIABLE = "LANEBOUND_COMPILE_AHEAD"
 """Environment variable; 0: no second process."""
@@ -51,15 +50,13 @@ class Ahead:
 
     Parameters
     ----------
-    kernels : in the order in which they are called, by kernels
+    kernels : in the order in which they are called
     signature : types of their arguments
     limit_s : time after which a second process that has not finished its kernel is ended [s]
     """
 
     def __init__(self, kernels: Sequence[Any], signature: tuple[Any, ...], limit_s: float = LIMIT_S) -> None:
         self._kernels, self._signature, self._owner = kernels, signature, os.getpid()
-        self._beside: list[tuple[Any, tuple[Any, ...]]] = []  # kernels that Python calls, with their signatures
-        self._theirs_beside: Any = None
         self._waiting = list(range(len(kernels)))
         self._heaviest_first = sorted(self._waiting, key=lambda n: -_source_bytes(kernels[n]))
         self._theirs: int | None = None
@@ -80,26 +77,8 @@ class Ahead:
 
     def start(self) -> Ahead:
         """Start the second process."""
-        global _started_last
-        _started_last, Kernel.before = self, self.claim
         threading.Thread(target=self._direct, name="lanebound-compile-ahead", daemon=True).start()
         return self
-
-    def add(self, kernel: Any, signature: tuple[Any, ...]) -> None:
-        """Let the second process compile a kernel that Python calls, when it has compiled the others."""
-        with self._changed:
-            known = [self._theirs_beside, *(other for other, _ in self._beside)]
-            if not self._ended and all(kernel is not other for other in known) and signature not in kernel.overloads:
-                self._beside.append((kernel, signature))
-
-    def claim(self, kernel: Any) -> None:
-        """This process needs a kernel: wait if the second one compiles it, or take it from its list."""
-        if os.getpid() != self._owner:
-            return
-        with self._changed:
-            self._beside = [task for task in self._beside if task[0] is not kernel]
-            while self._theirs_beside is kernel:
-                self._wait()
 
     def finish(self) -> None:
         """Compile what is left, and wait for what the second process is compiling."""
@@ -112,20 +91,16 @@ class Ahead:
         """The next kernel for this process; None when all are compiled."""
         with self._changed:
             while not self._waiting and self._theirs is not None:
-                self._wait()
+                left_s = self._given_s + self._limit_s - time.monotonic()
+                if left_s > 0.0:
+                    self._changed.wait(min(WAIT_S, left_s))
+                else:
+                    LOGGER.warning("lanebound: a second process compiled no kernel in %g s; it is ended", self._limit_s)
+                    self._end()
             return self._waiting.pop(0) if self._waiting else None
 
-    def _wait(self) -> None:
-        """Wait for the second process, or end it."""
-        left_s = self._given_s + self._limit_s - time.monotonic()
-        if left_s > 0.0:
-            self._changed.wait(min(WAIT_S, left_s))
-        else:
-            LOGGER.warning("lanebound: a second process compiled no kernel in %g s; it is ended", self._limit_s)
-            self._end()
-
     def _give(self) -> int | None:
-        """The next of the listed kernels for the second process, None for none."""
+        """The next kernel for the second process, None for none."""
         with self._changed:
             waiting = () if self._ended else self._waiting
             self._theirs = next((n for n in self._heaviest_first if n in waiting), None)
@@ -135,22 +110,13 @@ class Ahead:
             self._changed.notify()
             return self._theirs
 
-    def _give_beside(self) -> tuple[Any, tuple[Any, ...]] | None:
-        """The next added kernel for the second process and its signature, None for none."""
-        with self._changed:
-            task = self._beside.pop(0) if self._beside and not self._ended else None
-            self._theirs_beside, self._given_s = task and task[0], time.monotonic()
-            self._changed.notify()
-            return task
-
     def _end(self) -> None:
         """Take back the kernel of the second process, which gets no other one, and end the process."""
         with self._changed:
             self._ended = True
             if self._theirs is not None:
                 self._waiting.insert(0, self._theirs)
-            self._theirs = self._theirs_beside = None
-            self._beside.clear()
+            self._theirs = None
             self._changed.notify()
         if self._process is not None:
             with suppress(OSError):
@@ -171,33 +137,16 @@ class Ahead:
 
     def _hand_over(self, process: subprocess.Popen[bytes]) -> None:
         """One kernel after another, each when the one before is in the cache."""
-        assert process.stdin is not None
-        pickle.dump(sys.path, process.stdin)
+        tasks, answers = process.stdin, process.stdout
+        assert tasks is not None
+        assert answers is not None
+        pickle.dump(sys.path, tasks)
         while (theirs := self._give()) is not None:
-            if not _compile_there(process, self._kernels[theirs], self._signature, inner=True):
+            kernel = self._kernels[theirs].py_func
+            pickle.dump((kernel.__module__, kernel.__qualname__, self._signature), tasks)
+            tasks.flush()
+            if not answers.readline():
                 return
-        while (task := self._give_beside()) is not None:
-            if not _compile_there(process, *task, inner=False):
-                return
-
-
-_started_last: Ahead | None = None  # of this process
-
-
-def _compile_there(process: subprocess.Popen[bytes], kernel: Any, signature: tuple[Any, ...], inner: bool) -> bool:
-    """Let the second process compile a kernel, as for a call by another kernel or by Python; whether it has."""
-    tasks, answers = process.stdin, process.stdout
-    assert tasks is not None
-    assert answers is not None
-    pickle.dump((kernel.py_func.__module__, kernel.py_func.__qualname__, signature, inner), tasks)
-    tasks.flush()
-    return bool(answers.readline())
-
-
-def compile_beside(kernel: Any, *arguments: Any) -> None:
-    """Let a second process, if one is compiling, compile a kernel for a call from Python with such arguments."""
-    if _started_last is not None and _is_found(kernel):
-        _started_last.add(kernel, tuple(numba.typeof(argument) for argument in arguments))
 
 
 def serve() -> None:
@@ -206,11 +155,10 @@ def serve() -> None:
     sys.stdout = sys.stderr
     while True:
         try:
-            module, name, signature, inner = pickle.load(sys.stdin.buffer)
+            module, name, signature = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
-        kernel = getattr(import_module(module), name)
-        (kernel.compile_inner if inner else kernel.compile)(signature)
+        getattr(import_module(module), name).compile_inner(signature)
         answers.write(b"done\n")
         answers.flush()
 

@@ -20,7 +20,7 @@ import gc
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, ClassVar
+from typing import Any
 
 import numba
 from numba.core import sigutils, types
@@ -67,12 +67,7 @@ def _has(owner: Any, name: str) -> bool:
 
 
 class Kernel(CPUDispatcher):
-    """A compiled function with or without the wrapper for calls from Python, per signature.
-
-    ``before``, if there is one, is called with a kernel that this process is about to compile for a call from Python.
-    """
-
-    before: ClassVar[Callable[[Any], None] | None] = None
+    """A compiled function with or without the wrapper for calls from Python, per signature."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
@@ -90,8 +85,6 @@ class Kernel(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:
         """Compile for a signature: with the wrapper, unless another kernel is the caller."""
-        if Kernel.before is not None and not self._is_inner:
-            Kernel.before(self)
         with global_compiler_lock:
             args, _ = sigutils.normalize_signature(sig)
             if not self._is_inner and (found := self.overloads.get(tuple(args))) is not None and not _is_outer(found):

@@ -88,40 +88,6 @@ def test_this_process_loads_what_the_second_one_has_compiled(kernels):
     assert _result(kernels) == 9.0
 
 
-def test_the_second_process_compiles_what_python_calls_when_it_has_compiled_the_others(kernels):
-    *listed, added = kernels
-    ahead = Ahead(listed, SIGNATURE)
-    ahead.add(added, SIGNATURE)
-    ahead.add(added, SIGNATURE)
-    assert ahead._beside == [(added, SIGNATURE)]
-    ahead._direct()
-    ahead.claim(added)
-    added.compile(SIGNATURE)
-    assert _misses([added]) == [0]
-    ahead.add(listed[0], SIGNATURE)
-    assert ahead._beside == [], "the second process has ended"
-
-
-def test_this_process_takes_a_kernel_that_the_second_one_has_not_begun(kernels):
-    ahead = Ahead(kernels[:2], SIGNATURE)
-    ahead.add(kernels[2], SIGNATURE)
-    ahead.claim(kernels[2])
-    assert ahead._give_beside() is None
-
-
-def test_this_process_waits_for_a_kernel_that_the_second_one_compiles(kernels):
-    ahead = Ahead(kernels[:2], SIGNATURE)
-    ahead.add(kernels[2], SIGNATURE)
-    assert ahead._give_beside() == (kernels[2], SIGNATURE)
-    waiting = threading.Thread(target=ahead.claim, args=(kernels[2],), daemon=True)
-    waiting.start()
-    waiting.join(0.2)
-    assert waiting.is_alive()
-    ahead._give_beside()
-    waiting.join(60.0)
-    assert not waiting.is_alive()
-
-
 def test_both_share_the_kernels(kernels):
     ahead = Ahead(kernels, SIGNATURE).start()
     ahead.finish()
