@@ -27,6 +27,7 @@ CITY_WORDS = (
 )
 RESULTS = (".json", ".csv", ".png")
 MANIFEST = ("run.json",)
+NOTED_LAG_S = 0.1  # half the interval between rows of smartLoc, below which a lag is not resolved
 HIGH_RISK = 0.01  # at which a level says little: no higher one is advised
 
 
@@ -293,9 +294,19 @@ def _print_outages(found: dict[str, Any]) -> None:
 def _print_agreement(found: dict[str, Any]) -> None:
     """Print how the sensors follow the reference."""
     for name, of in found.get("agreement", {}).items():
-        figures = f"slope {of['slope']:.3g}, correlation {of['correlation']:.2f}, lag {of['lag_s']:.2f} s"
         tested = "" if of["tested"] else "; the drive shows too little of it to test unit and sign"
-        typer.echo(f"{name} on the reference: {figures}{tested}")
+        lag = _lag_text(of["lag_s"], of["corrected"])
+        typer.echo(
+            f"{name} on the reference: slope {of['slope']:.3g}, correlation {of['correlation']:.2f}{lag}{tested}"
+        )
+
+
+def _lag_text(lag_s: float | None, corrected: bool) -> str:
+    """What is known of a lag, and done about it."""
+    if lag_s is None:
+        return "; lag not tested, the drive shows too little motion: levels do not cover one"
+    uncovered = ", not corrected: levels do not cover it" if abs(lag_s) >= NOTED_LAG_S else ""
+    return f", lag {lag_s:.2f} s{', corrected' if corrected else uncovered}"
 
 
 def _print_service(found: dict[str, Any]) -> None:

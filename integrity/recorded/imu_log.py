@@ -78,7 +78,7 @@ def read_imu_log(path: str | Path, tag: str | Path | None = None) -> ImuLog:
     if len(rows) < LEAST_ROWS:
         raise InputError(f"{path} must have at least {LEAST_ROWS} samples, got {len(rows)}: is it the log of an IMU?")
     clock_s = 1e-3 * rows[:, 6] - 1e-3 * rows[0, 6]
-    keep, timing = in_order(path, clock_s)
+    keep, timing = in_order(path, clock_s, rows=rows)
     rows, ends, line_of, clock_s = rows[keep], ends[keep], line_of[keep], clock_s[keep]
     tags = Path(f"{path}.tag" if tag is None else tag)
     start_s, tick_s, received = _tags(tags)

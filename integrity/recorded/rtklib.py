@@ -154,7 +154,7 @@ def read_rtk_solution(path: str | Path) -> RtkSolution:
         return [time, *_plain(values[:-2], head.form), *values[-2:], ratio, *speeds]
 
     rows, stop = _rows(path, row, comment=head.take)
-    keep, timing = in_order(path, rows[:, 0])
+    keep, timing = in_order(path, rows[:, 0], rows=rows)
     rows = rows[keep]
     time = rows[:, 0]
     if head.scale != "GPST":
@@ -189,7 +189,7 @@ def read_reference(path: str | Path) -> ReferenceTrack:
 
     rows, stop = _rows(path, row, ",")
     rows[:, 0] = unrolled(rows[:, 0])
-    keep, timing = in_order(path, rows[:, 0])
+    keep, timing = in_order(path, rows[:, 0], rows=rows)
     rows = rows[keep]
     week = None if np.isnan(rows[0, 4]) else int(rows[0, 4])
     return ReferenceTrack(rows[:, 0], week, rows[:, 1:4], np.radians(rows[:, 5]), stop, timing)

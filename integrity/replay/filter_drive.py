@@ -43,7 +43,7 @@ from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import path_headings, recorded_epochs
 from lanebound.integrity.replay.outages import averaged
 from lanebound.integrity.replay.reckoning import reckon
-from lanebound.integrity.replay.recording_checks import check_comma, check_smartloc
+from lanebound.integrity.replay.recording_checks import aligned_comma, check_smartloc
 from lanebound.integrity.sensors.gnss import GnssEpoch
 from lanebound.integrity.sensors.imu import ImuSample
 from lanebound.integrity.sensors.instruments import Measurements
@@ -310,8 +310,7 @@ def write_filter(
         city = read_city(folder)
         sensors, notes, agreement = smartloc_sensors(city, config), city.notes, check_smartloc(city)
     else:
-        segment = read_comma(folder)
-        agreement = check_comma(segment)
+        segment, agreement = aligned_comma(read_comma(folder))
         sensors, notes = comma_sensors(segment, config), segment.notes
     drive = drive_filter(sensors, config)
     found = {"dataset": "filter", "recording": kind, "navigator": navigator, "stopped": notes}

@@ -47,6 +47,7 @@ from lanebound.integrity.replay.sensor_checks import (
     Quantity,
     correlation,
     require_agreement,
+    require_changing,
     require_lag,
     require_throughout,
 )
@@ -131,11 +132,17 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         raise InputError(
             "the solution must have velocities in all rows, has none in some: set out-outvel of RTKLIB to on"
         )
-    _require_signals(log)
-    level, roll, pitch = levelled(log, config.rest_s)
-    rates = _rates(log, config)
     at = _common_times(log, track, config)
     place, speed, heading, known, near = _reference(track, at)
+    turning, ahead = np.gradient(heading, at), np.gradient(speed, at)
+    on = known & near & (speed > MOVING_MPS)
+    for quantity, sensor, true in ((YAW_RATE, "rate", turning), (ACCELERATION, "force", ahead)):
+        for k, axis in enumerate("xyz"):  # raw, because levelling mixes the axes
+            value = (log.rate_radps if sensor == "rate" else log.force_mps2)[:, k]
+            named = quantity._replace(name=f"{sensor} {axis}")
+            require_changing(named, "the log", log.gps_time_s, value, at[on], true[on])
+    level, roll, pitch = levelled(log, config.rest_s)
+    rates = _rates(log, config)
     in_gap = log.timing.bridged(at, LAG_S + 1.0 / config.rate_hz, LAG_S + 1.0 / config.rate_hz)
     bridged = in_gap | ~near
     first = _calibrated_from(speed, known & ~bridged, config)
@@ -146,14 +153,15 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         )
     part = np.flatnonzero(known[:first] & ~bridged[:first] & (speed[:first] > MOVING_MPS))
     seconds = part.size / config.rate_hz
-    turning, ahead = np.gradient(heading, at), np.gradient(speed, at)
 
     def sensed(value: Array, lag: float) -> Array:
         within = np.clip(at + lag, log.gps_time_s[0], log.gps_time_s[-1])
         return averaged(log.gps_time_s, value, within, config.rate_hz)
 
     late, alike = require_lag("the log", turning[part], lambda lag: sensed(rates[:, 2], lag)[part], YAW_RATE)
-    turns = replace(require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds), lag_s=late)
+    turns = replace(
+        require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds), lag_s=late, corrected=True
+    )
     moved = float(speed[at < log.gps_time_s[0] + config.rest_s].max(initial=0.0))
     if moved > REST_MPS:
         raise InputError(
@@ -214,17 +222,6 @@ def _lag_of_turns(sensed: Callable[[float], Array], turning: Array) -> float:
             "calibration_s, with turns, or correct the times"
         )
     return lag
-
-
-def _require_signals(log: ImuLog) -> None:
-    """Refuse a column of one value, in which levelling would mix parts of other axes."""
-    for sensor, values in (("force", log.force_mps2), ("rate", log.rate_radps)):
-        for axis, column in zip("xyz", values.T, strict=True):
-            if np.ptp(column) == 0.0:
-                raise InputError(
-                    f"{sensor} {axis} of the log must change, all {column.size} rows have one value: the axis has no "
-                    "signal; correct the columns"
-                )
 
 
 def _rates(log: ImuLog, config: ImuOutageConfig) -> Array:

@@ -26,7 +26,7 @@ from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.comma import Comma, read_comma
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.reckoning import reckon, turned
-from lanebound.integrity.replay.recording_checks import check_comma
+from lanebound.integrity.replay.recording_checks import aligned_comma
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -312,8 +312,7 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
         The folder is not a comma2k19 segment, or the segment is too short.
     """
     config = config or OutageConfig()
-    segment = read_comma(folder)
-    agreement = check_comma(segment)
+    segment, agreement = aligned_comma(read_comma(folder))
     motion, calibration = motion_of(segment, config)
     outages = run_outages(motion, config)
     figures = {

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic, geodetic_from_ecef
-from lanebound.integrity.recorded.comma import Comma
+from lanebound.integrity.recorded.comma import Comma, Series
 from lanebound.integrity.recorded.imu_log import G_MPS2
 from lanebound.integrity.recorded.smartloc import SmartLoc
 from lanebound.integrity.replay.sensor_checks import (
@@ -22,12 +22,13 @@ from lanebound.integrity.replay.sensor_checks import (
     Quantity,
     likely_unit,
     require_agreement,
+    require_changing,
     require_lag,
     require_same_times,
     require_throughout,
 )
 
-__all__ = ["check_comma", "check_smartloc"]
+__all__ = ["aligned_comma", "check_comma", "check_smartloc"]
 
 Array = NDArray[np.float64]
 
@@ -67,6 +68,7 @@ class _Reference:
         """Agreement of a sensor's series with values (T,) of the reference at the epochs to keep, after its lag; it
         must hold throughout."""
         at = self.time_s[keep]
+        require_changing(quantity, where, time_s, value, at, reference[keep])
         inside = at[(at > time_s[0] + LAG_S) & (at < time_s[-1] - LAG_S)]
         if at.size and not inside.size:
             raise InputError(
@@ -90,6 +92,23 @@ def _means(time_s: Array, value: Array, at_s: Array) -> Callable[[float], Array]
         return np.asarray((high - low) / MEAN_S)
 
     return mean
+
+
+def aligned_comma(segment: Comma) -> tuple[Comma, dict[str, Agreement]]:
+    """A segment whose speeds, gyro and accelerometer have no lag behind its reference, where the drive shows one, and
+    what :func:`check_comma` finds, which it raises for."""
+    found = check_comma(segment)
+    parts = {
+        "speed": "CAN/speed", "wheel_speed": "CAN/wheel_speed", "rotation_rate": "yaw rate",
+        "acceleration": "forward acceleration",
+    }  # fmt: skip
+    moved: dict[str, Series] = {}
+    for part, name in parts.items():
+        own = {key: of for key, of in found.items() if key.startswith(name) and of.lag_s is not None}
+        if own:  # wheels have one clock
+            moved[part] = getattr(segment, part).earlier(float(np.mean([of.lag_s for of in own.values()])))
+            found |= {key: replace(of, corrected=True) for key, of in own.items()}
+    return replace(segment, **moved), found
 
 
 def check_comma(segment: Comma) -> dict[str, Agreement]:
