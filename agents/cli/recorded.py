@@ -98,7 +98,7 @@ def replay(
         print_json(found)
         return
     _PRINTERS[found["dataset"]](found)
-    _print_files(found.get("stopped"), written)
+    _print_files(found.get("stopped"), written, found.get("doubt"))
 
 
 def rtk(
@@ -156,7 +156,7 @@ def rtk(
         print_json(found)
         return
     print_rtk(found)
-    _print_files(found["stopped"], written)
+    _print_files(found["stopped"], written, found.get("doubt"))
 
 
 def _solve(out: Path, kind: str, work: Callable[[Progress], T]) -> T:
@@ -244,8 +244,10 @@ def _print_sky(found: dict[str, Any]) -> None:
     print_table("Recorded sky", ("", "value"), rows)
 
 
-def _print_files(stopped: Any, written: list[Path]) -> None:
-    """Print which inputs ended early, and the written files."""
+def _print_files(stopped: Any, written: list[Path], doubt: str | None = None) -> None:
+    """Print a doubt of the levels, which inputs ended early, and the written files."""
+    if doubt:
+        typer.echo(f"warning: {doubt}", err=True)
     early = stopped if isinstance(stopped, dict) else {"file": stopped} if stopped else {}
     for name, reason in early.items():
         typer.echo(f"note: {name}: {reason}", err=True)

@@ -92,8 +92,8 @@ def in_order(
         by_s = before[k] - time_s[k]
         how = f"go back, row {k + 1} by {by_s:.3f} s" if by_s else f"repeat a time with other values, row {k + 1} first"
         raise InputError(
-            f"{name} must have times that increase, {back.size} of {time_s.size} rows {how}: sort the rows by time, cut "
-            "the file where its clock was set back, or write its times with more digits"
+            f"{name} must have times that increase, {back.size} of {time_s.size} rows {how}: sort the rows by time, "
+            "cut the file where its clock was set back, or write its times with more digits"
         )
     return keep, Timing(str(name), time_s.size, back.size, *_gaps(np.unique(time_s[keep])))
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.assessment.bounding import doubt
 from lanebound.integrity.assessment.plotting import INK, legend, new_figure, save, tidy
 from lanebound.integrity.assessment.warning_rates import WarningCounts, sweep_thresholds
 from lanebound.integrity.core.errors import InputError
@@ -211,6 +212,7 @@ def summarise_context(drive: ReplayedContext) -> dict[str, Any]:
         known = e.known & e.fix.located
         over, level = errors > drive.level_m[known], drive.level_m[known]
         found["error"] |= {"beyond_level": int(over.sum()), "with_level": int(np.isfinite(level).sum())}
+        found["doubt"] = doubt(drive.config.position.missed_detection, errors, level, "epochs")
     return found | {"judged": int(drive.judged.sum()), "rates": _rates(drive), "caution": CAUTION}
 
 

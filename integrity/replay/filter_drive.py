@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.bounding import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.assessment.series import series_figure
@@ -328,10 +328,14 @@ def filter_summary(drive: FilterDrive, config: FilterReplayConfig) -> dict[str, 
     s, error = drive.sensors, _errors(drive)
     levelled = s.known & np.isfinite(drive.levels_m[:, 0]).all(-1)
     fixed = s.known & s.fix.valid
+    doubts = (
+        doubt(risk, error[levelled], drive.levels_m[levelled, 1 + k], "epochs") for k, risk in enumerate(config.risks)
+    )
     off = np.linalg.norm(error, axis=-1)
     fix_off = np.linalg.norm(s.fix.position_m[:, :2] - s.truth_m, axis=-1)
     return {
         "filter": drive.config.filter,
+        "doubt": next(filter(None, doubts), None),
         "epochs": int(s.time_s.size),
         "with_truth": int(s.known.sum()),
         "with_level": int(levelled.sum()),

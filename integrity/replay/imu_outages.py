@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.bounding import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
@@ -159,9 +159,7 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         return averaged(log.gps_time_s, value, within, config.rate_hz)
 
     late, alike = require_lag("the log", turning[part], lambda lag: sensed(rates[:, 2], lag)[part], YAW_RATE)
-    turns = replace(
-        require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds), lag_s=late, corrected=True
-    )
+    turns = require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds)
     moved = float(speed[at < log.gps_time_s[0] + config.rest_s].max(initial=0.0))
     if moved > REST_MPS:
         raise InputError(
@@ -194,7 +192,10 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     return motion, {
         "roll_deg": math.degrees(roll), "pitch_deg": math.degrees(pitch), "azimuth_deg": math.degrees(-azimuth),
         "coherence": coherence, "lag_s": lag, "yaw_bias_degps": math.degrees(bias), "from_s": float(at[first] - at[0]),
-        "agreement": {name: found.figures() for name, found in agreements.items()},
+        "agreement": {
+            name: replace(found, lag_s=lag if late is not None else None, corrected=True).figures()
+            for name, found in agreements.items()
+        },
     }  # fmt: skip
 
 
@@ -445,6 +446,7 @@ def write_imu_outages(
     figures = {
         "dataset": "imu_log", "caution": CAUTION, "files": [path.name, solution.name],
         "risk": config.risk.integrity_risk, "rate_hz": log.rate_hz,
+        "doubt": doubt(config.risk.integrity_risk, outages.error_m, outages.pl_m, "outages"),
         "agreement": calibration.pop("agreement"), "calibration": calibration,
         "outages": len(outages.start_s), "left_out_at_gaps": outages.left_out,
         "speed_mps": [float(v) for v in np.quantile(outages.speed_mps, [0.0, 0.5, 1.0])],

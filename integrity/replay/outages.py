@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.bounding import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_figure, risk_text, save, tidy
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
@@ -318,6 +318,7 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
     figures = {
         "dataset": "comma2k19", "caution": CAUTION,
         "risk": config.risk.integrity_risk, "calibration": calibration,
+        "doubt": doubt(config.risk.integrity_risk, outages.error_m, outages.pl_m, "outages"),
         "agreement": {name: found.figures() for name, found in agreement.items()},
         "outages": len(outages.start_s), "left_out_at_gaps": outages.left_out, "stopped": segment.notes,
         "speed_mps": [float(v) for v in np.quantile(outages.speed_mps, [0.0, 0.5, 1.0])], "by_age": by_age(outages),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic, geodetic_from_ecef
-from lanebound.integrity.recorded.comma import Comma, Series
+from lanebound.integrity.recorded.comma import Comma
 from lanebound.integrity.recorded.imu_log import G_MPS2
 from lanebound.integrity.recorded.smartloc import SmartLoc
 from lanebound.integrity.replay.sensor_checks import (
@@ -102,7 +103,7 @@ def aligned_comma(segment: Comma) -> tuple[Comma, dict[str, Agreement]]:
         "speed": "CAN/speed", "wheel_speed": "CAN/wheel_speed", "rotation_rate": "yaw rate",
         "acceleration": "forward acceleration",
     }  # fmt: skip
-    moved: dict[str, Series] = {}
+    moved: dict[str, Any] = {}
     for part, name in parts.items():
         own = {key: of for key, of in found.items() if key.startswith(name) and of.lag_s is not None}
         if own:  # wheels have one clock
@@ -130,9 +131,12 @@ def check_comma(segment: Comma) -> dict[str, Agreement]:
         return {}
     velocity = np.stack([_means(r.time_s, column, motion.time_s)(0.0) for column in reported.T], -1)
     found = {
-        "reference velocity": require_agreement(
-            SPEED, "m/s", "global_pose/frame_velocities", motion.velocity_mps[clear].ravel(), velocity[clear].ravel(),
-            clear.sum() * EVERY_S,
+        "reference velocity": replace(
+            require_agreement(
+                SPEED, "m/s", "global_pose/frame_velocities", motion.velocity_mps[clear].ravel(),
+                velocity[clear].ravel(), clear.sum() * EVERY_S,
+            ),
+            lag_s=0.0,  # of the same rows
         )
     }  # fmt: skip
     for name, values in (("CAN/speed", segment.speed), ("CAN/wheel_speed", segment.wheel_speed)):

@@ -227,9 +227,8 @@ def require_throughout(
         require_agreement(changes, unit, there, true, felt[usual], WINDOW_S)
         if quantity.name == ACCELERATION.name:  # slopes of the road shift it
             continue
-        centred = true - true.mean()
-        scale = felt @ centred / (centred @ centred)  # else a wrong scale looks like another time
-        off = np.std(felt - np.outer(scale, true), axis=1)
+        # what each leaves of the reference, whatever its scale, which would look like another time
+        off = np.sqrt([max(1.0 - max(correlation(true, row), 0.0) ** 2, FROZEN) for row in felt])
         best = int(np.argmin(off))
         if abs(offsets[best]) >= JUMP_S and off[usual] > NEARER * off[best]:
             raise InputError(

@@ -42,7 +42,7 @@ def test_rows_that_are_there_twice_are_left_out_however_many_and_others_of_their
         assert timing.note == "1000 of 2000 rows left out that repeat another"
     coarse = np.floor(TIME)
     with pytest.raises(
-        InputError, match="990 of 1000 rows repeat a time with other values, row 2 first: .* more digits"
+        InputError, match=r"990 of 1000 rows repeat a time with other values, row 2 first: .* more digits"
     ):
         in_order("log", coarse, rows=np.stack([coarse, TIME], -1))
     with pytest.raises(InputError, match="999 of 1000 rows go back"):

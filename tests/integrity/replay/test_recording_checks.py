@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -197,6 +198,22 @@ def test_outages_at_a_gap_are_left_out_and_counted(tmp_path: Path) -> None:
     assert [found["all_ages"][axis]["exceeded"] for axis in ("at", "ct")] == [0, 0]
     with pytest.raises(InputError, match=r"first 35 s must be without gaps, 1 gap, the longest of 6.03 s"):
         write_outages(tmp_path / "holed", tmp_path / "out", config.replace(calibration_s=35.0))
+
+
+@pytest.mark.parametrize(("name", "wrong"), [
+    ("rotation_rate", lambda s: s.value + np.where(s.time_s > 25.0, np.radians(2.0), 0.0)[:, None]),
+    ("speed", lambda s: s.value * np.where(s.time_s > 25.0, 1.2, 1.0)),
+])  # fmt: skip
+def test_errors_far_beyond_the_declared_ones_are_doubted(tmp_path: Path, name: str, wrong) -> None:
+    sane, config = segment(), OutageConfig(longest_s=10.0)
+    found, _ = write_outages(_saved(tmp_path / "sane", sane), tmp_path / "out", config)
+    assert found["doubt"] is None
+    series = getattr(sane, name)
+    bad = changed(sane, name, value=wrong(series))
+    found, _ = write_outages(_saved(tmp_path / "bad", bad), tmp_path / "out", config)
+    assert re.match(
+        r"errors exceed their levels in \d\d of \d\d outages, at a risk of 0\.001: the recording", found["doubt"]
+    )
 
 
 def test_a_jump_of_half_a_second_is_told_and_a_clock_that_is_set_back_refused(tmp_path: Path) -> None:
