@@ -27,7 +27,6 @@ CITY_WORDS = (
 )
 RESULTS = (".json", ".csv", ".png")
 MANIFEST = ("run.json",)
-NOTED_LAG_S = 0.1  # half the interval between rows of smartLoc, below which a lag is not resolved
 HIGH_RISK = 0.01  # at which a level says little: no higher one is advised
 
 
@@ -305,9 +304,11 @@ def _print_agreement(found: dict[str, Any]) -> None:
 
 def _lag_text(lag_s: float | None, corrected: bool) -> str:
     """What is known of a lag, and done about it."""
+    from lanebound.integrity.replay.sensor_checks import SLIP_S
+
     if lag_s is None:
         return "; lag not tested, the drive shows too little motion: levels do not cover one"
-    uncovered = ", not corrected: levels do not cover it" if abs(lag_s) >= NOTED_LAG_S else ""
+    uncovered = ", not corrected: levels do not cover it" if abs(lag_s) >= SLIP_S else ""
     return f", lag {lag_s:.2f} s{', corrected' if corrected else uncovered}"
 
 

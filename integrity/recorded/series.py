@@ -109,7 +109,7 @@ def _gaps(time_s: Array) -> tuple[Array, float]:
     return np.stack([time_s[k], time_s[k + 1]], -1), missing
 
 
-def notes(*series: tuple[str, Stop | None, Timing]) -> dict[str, str]:
+def notes(*series: tuple[str, Stop | str | None, Timing]) -> dict[str, str]:
     """By name, what of a series was not used or is missing, for those of which something is."""
     texts = ((name, "; ".join(filter(None, (str(stop or ""), timing.note)))) for name, stop, timing in series)
     return {name: text for name, text in texts if text}

@@ -17,6 +17,7 @@ from lanebound.integrity.recorded.smartloc import SmartLoc
 from lanebound.integrity.replay.sensor_checks import (
     ACCELERATION,
     LAG_S,
+    SLIP_S,
     SPEED,
     YAW_RATE,
     Agreement,
@@ -96,8 +97,8 @@ def _means(time_s: Array, value: Array, at_s: Array) -> Callable[[float], Array]
 
 
 def aligned_comma(segment: Comma) -> tuple[Comma, dict[str, Agreement]]:
-    """A segment whose speeds, gyro and accelerometer have no lag behind its reference, where the drive shows one, and
-    what :func:`check_comma` finds, which it raises for."""
+    """A segment whose speeds, gyro and accelerometer have no lag of SLIP_S and more behind its reference, where the
+    drive shows one, and what :func:`check_comma` finds, which it raises for."""
     found = check_comma(segment)
     parts = {
         "speed": "CAN/speed", "wheel_speed": "CAN/wheel_speed", "rotation_rate": "yaw rate",
@@ -106,8 +107,9 @@ def aligned_comma(segment: Comma) -> tuple[Comma, dict[str, Agreement]]:
     moved: dict[str, Any] = {}
     for part, name in parts.items():
         own = {key: of for key, of in found.items() if key.startswith(name) and of.lag_s is not None}
-        if own:  # wheels have one clock
-            moved[part] = getattr(segment, part).earlier(float(np.mean([of.lag_s for of in own.values()])))
+        lag_s = float(np.mean([of.lag_s for of in own.values()])) if own else 0.0  # wheels have one clock
+        if abs(lag_s) >= SLIP_S:
+            moved[part] = getattr(segment, part).earlier(lag_s)
             found |= {key: replace(of, corrected=True) for key, of in own.items()}
     return replace(segment, **moved), found
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 
 __all__ = [
-    "ACCELERATION", "CLEARLY", "LAG_S", "LEAST_CORRELATION", "PITCH_RATE", "SPEED", "YAW_RATE", "Agreement", "Quantity",
-    "correlation", "likely_unit", "require_agreement", "require_changing", "require_lag", "require_same_times",
-    "require_throughout",
+    "ACCELERATION", "CLEARLY", "LAG_S", "LEAST_CORRELATION", "PITCH_RATE", "SLIP_S", "SPEED", "YAW_RATE", "Agreement",
+    "Quantity", "correlation", "likely_unit", "require_agreement", "require_changing", "require_lag",
+    "require_same_times", "require_throughout",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -37,6 +37,7 @@ WINDOW_S, WINDOW_STEP_S = 8.0, 2.0
 STILL, STRAIGHT, MOVES = 0.25, 0.05, 0.5  # spread in a window over a strong motion: below, too little to test
 FROZEN = 1e-6  # of a strong motion; beyond rounding, far below the resolution of any sensor
 FROZEN_S = 4.0  # of one value; recorded sensors keep one for 0.5 s at most while the car drives
+SLIP_S = 0.1  # of lags that need no clock: slip grows with the acceleration, which looks like 0.02 to 0.05 s early
 JUMP_S, LONGEST_JUMP_S = 0.25, 0.7  # of a clock inside a drive; a longer one leaves a gap, or no likeness
 SURE_CORRELATION, CLEARLY = 0.7, 0.2  # of a lag that needs no wider search, and by how much another must be better
 

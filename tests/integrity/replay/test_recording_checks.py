@@ -156,6 +156,9 @@ def test_a_lag_that_the_drive_shows_is_taken_out_and_one_that_it_does_not_is_not
     assert found["yaw rate"].corrected
     for name in ("speed", "rotation_rate"):
         np.testing.assert_allclose(getattr(aligned, name).time_s, getattr(sane, name).time_s, atol=0.02)
+    slipping, found = aligned_comma(changed(sane, "speed", time_s=sane.speed.time_s - 0.05))
+    assert found["CAN/speed 0"].lag_s == pytest.approx(-0.05, abs=0.011)
+    np.testing.assert_array_equal(slipping.speed.time_s, sane.speed.time_s - 0.05)
     turn = sane.rotation_rate.value * [1.0, 1.0, 0.0] + np.random.default_rng(3).normal(0.0, 1e-3, (6000, 3))
     place = HOME + (sane.speed.time_s[::4, None] * [[0.0, 11.0, 0.0]]) @ AXES.T
     straight = changed(
