@@ -356,6 +356,7 @@ def _print_context(found: dict[str, Any]) -> None:
     rows += [(f"epochs {reason}", count) for reason, count in found["reasons"].items()]
     rows += [(f"HPL {key}", value) for key, value in found.get("level", {}).items()]
     rows += [(f"error {key}", value) for key, value in found.get("error", {}).items()]
+    rows += [(f"map, {what}", count) for what, count in found["left_out"].items() if count]
     print_table("Context monitor", ("", "value"), rows)
     for phase, reason in found["skipped"].items():
         typer.echo(f"{phase} phase skipped: {reason}.")

@@ -168,9 +168,7 @@ def write_context(
     """
     config, lines = ContextReplayConfig.build(None, changes), read_roads(roads)
     epochs, stopped = read_context_epochs(folder, kind, config)
-    stopped |= (
-        {roads.name: f"{lines.malformed} malformed ways left out, the first: {lines.first}"} if lines.first else {}
-    )
+    stopped |= {roads.name: lines.note} if lines.note else {}
     drive = drive_context(epochs, lines, config, progress)
     summary = {
         "dataset": "context", "recording": kind, "stopped": stopped or None, **summarise_context(drive),

@@ -165,7 +165,9 @@ def test_solutions_in_radians_without_usable_rows_or_with_vu_reversed_are_named(
     with pytest.raises(InputError, match=r"rows of Q 1 \(fixed\) or 2 \(float\), its 720 rows have Q 5: process it by"):
         motion_of_log(log, single, ImuOutageConfig())
     down = replace(track, velocity_neu_mps=track.velocity_neu_mps * [1.0, 1.0, -1.0])
-    with pytest.raises(InputError, match="pitch rate of the log, or vu of the solution, must .*: its sign is reversed"):
+    with pytest.raises(
+        InputError, match=r"pitch rate of the log, or vu of the solution, must .*: its sign is reversed"
+    ):
         motion_of_log(log, down, ImuOutageConfig())
 
 
