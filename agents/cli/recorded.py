@@ -59,9 +59,10 @@ def replay(
     """Replay a recorded drive: positions, protection levels, exclusions and alerts against the truth.
 
     smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages.
-    NAME.csv of an IMU with NAME.csv.tag and one .pos of RTKLIB: the same by gyros and accelerometers. A RINEX pair:
-    RTK. Its files are told apart by their names (rover, base) or by which receiver moves. docs/navigation.md says where
-    to get the recordings.
+    NAME.csv of an IMU with NAME.csv.tag, which counts its bytes, and one .pos of RTKLIB with velocities (rows of Q 1
+    and 2; llh, xyz or enu; GPST, UTC or JST): the same by gyros and accelerometers. A RINEX pair: RTK. Its files are
+    told apart by their names (rover, base) or by which receiver moves. docs/navigation.md says where to get the
+    recordings.
 
     With --service the drive runs through the navigator of simulated drives: spp on smartLoc and RINEX, dgps with the
     base of a RINEX pair; others need corrections that no recording holds. --set then changes the navigator, such as
@@ -97,7 +98,7 @@ def replay(
         print_json(found)
         return
     _PRINTERS[found["dataset"]](found)
-    _print_files(found.get("stopped"), written)
+    _print_files(found.get("stopped"), written, found.get("doubt"))
 
 
 def rtk(
@@ -155,7 +156,7 @@ def rtk(
         print_json(found)
         return
     print_rtk(found)
-    _print_files(found["stopped"], written)
+    _print_files(found["stopped"], written, found.get("doubt"))
 
 
 def _solve(out: Path, kind: str, work: Callable[[Progress], T]) -> T:
@@ -243,8 +244,10 @@ def _print_sky(found: dict[str, Any]) -> None:
     print_table("Recorded sky", ("", "value"), rows)
 
 
-def _print_files(stopped: Any, written: list[Path]) -> None:
-    """Print which inputs ended early, and the written files."""
+def _print_files(stopped: Any, written: list[Path], doubt: str | None = None) -> None:
+    """Print a doubt of the levels, which inputs ended early, and the written files."""
+    if doubt:
+        typer.echo(f"warning: {doubt}", err=True)
     early = stopped if isinstance(stopped, dict) else {"file": stopped} if stopped else {}
     for name, reason in early.items():
         typer.echo(f"note: {name}: {reason}", err=True)
@@ -293,9 +296,21 @@ def _print_outages(found: dict[str, Any]) -> None:
 def _print_agreement(found: dict[str, Any]) -> None:
     """Print how the sensors follow the reference."""
     for name, of in found.get("agreement", {}).items():
-        figures = f"slope {of['slope']:.3g}, correlation {of['correlation']:.2f}, lag {of['lag_s']:.2f} s"
         tested = "" if of["tested"] else "; the drive shows too little of it to test unit and sign"
-        typer.echo(f"{name} on the reference: {figures}{tested}")
+        lag = _lag_text(of["lag_s"], of["corrected"])
+        typer.echo(
+            f"{name} on the reference: slope {of['slope']:.3g}, correlation {of['correlation']:.2f}{lag}{tested}"
+        )
+
+
+def _lag_text(lag_s: float | None, corrected: bool) -> str:
+    """What is known of a lag, and done about it."""
+    from lanebound.integrity.replay.sensor_checks import SLIP_S
+
+    if lag_s is None:
+        return "; lag not tested, the drive shows too little motion: levels do not cover one"
+    uncovered = ", not corrected: levels do not cover it" if abs(lag_s) >= SLIP_S else ""
+    return f", lag {lag_s:.2f} s{', corrected' if corrected else uncovered}"
 
 
 def _print_service(found: dict[str, Any]) -> None:
@@ -342,6 +357,7 @@ def _print_context(found: dict[str, Any]) -> None:
     rows += [(f"epochs {reason}", count) for reason, count in found["reasons"].items()]
     rows += [(f"HPL {key}", value) for key, value in found.get("level", {}).items()]
     rows += [(f"error {key}", value) for key, value in found.get("error", {}).items()]
+    rows += [(f"map, {what}", count) for what, count in found["left_out"].items() if count]
     print_table("Context monitor", ("", "value"), rows)
     for phase, reason in found["skipped"].items():
         typer.echo(f"{phase} phase skipped: {reason}.")

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv
+from scipy.special import bdtrc, betaincinv
 
 from lanebound.integrity.assessment.record import AXES, Axis, Record
 from lanebound.integrity.core.errors import InputError, require_probability
 
-__all__ = ["Bounding", "bounding_by_mode", "clopper_pearson", "measure_bounding"]
+__all__ = ["Bounding", "bounding_by_mode", "clopper_pearson", "doubt", "measure_bounding"]
 
 RATIO_QUANTILES = (0.001, 0.01, 0.05, 0.5)
+FEWEST, BY_CHANCE = 2, 1e-3  # exceedances that show anything, and their probability at the declared risk
 
 
 def clopper_pearson(events: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -82,6 +83,22 @@ def measure_bounding(error_m: ArrayLike, pl_m: ArrayLike, confidence: float = 0.
         _finite(float(np.quantile(pl, 0.5, method="lower"))),
         _finite(float(ratio.min())),
         {f"{q:g}": _finite(float(v)) for q, v in zip(RATIO_QUANTILES, quantiles, strict=True)},
+    )
+
+
+def doubt(risk: float, error_m: ArrayLike, pl_m: ArrayLike, of: str) -> str | None:
+    """Words where errors (N, ...) exceed their levels [m] in far more of the N cases than at a risk; else None.
+
+    A case counts once if any of its errors exceeds. The tail of the binomial distribution must be below BY_CHANCE.
+    """
+    over = np.abs(np.asarray(error_m, dtype=np.float64)) > np.asarray(pl_m, dtype=np.float64)
+    cases = len(over)
+    found = int(over.reshape(cases, -1).any(1).sum())
+    if found < FEWEST or bdtrc(found - 1, cases, risk) >= BY_CHANCE:
+        return None
+    return (
+        f"errors exceed their levels in {found} of {cases} {of}, at a risk of {risk:g}: the recording or the declared "
+        "sensor errors are to be doubted"
     )
 
 

@@ -70,6 +70,11 @@ class Record:
         """Median time between epochs [s]; 0 for a single epoch."""
         return float(np.median(np.diff(self.time_s))) if self.time_s.size > 1 else 0.0
 
+    def by_epoch(self) -> tuple[Array, Array]:
+        """Absolute errors and levels of all vehicle epochs on both axes.  (E, 2) each."""
+        error, pl = (np.stack([np.ravel(of(axis)) for axis in AXES], -1) for of in (self.error, self.pl))
+        return error, pl
+
     def error(self, axis: Axis) -> Array:
         """Absolute error of an axis, ``"at"`` or ``"ct"`` [m]."""
         return np.asarray(np.abs(getattr(self, f"error_{_checked(axis)}_m")))

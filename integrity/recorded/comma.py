@@ -9,7 +9,7 @@ ECEF.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,10 @@ class Series:
         if self.value.ndim == 1:
             return np.interp(time_s, self.time_s, self.value)
         return np.stack([np.interp(time_s, self.time_s, column) for column in self.value.T], -1)
+
+    def earlier(self, by_s: float) -> Series:
+        """The series with all its times earlier."""
+        return Series(self.time_s - by_s, self.value, replace(self.timing, gaps_s=self.timing.gaps_s - by_s))
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,8 @@ def read_comma(folder: str | Path) -> Comma:
     Raises
     ------
     InputError
-        A required array is missing or malformed, or a tenth of its times go back; the message gives the file.
+        A required array is missing, malformed or of another length than its times, or a tenth of its times go back;
+        the message gives the file.
     """
     reader = _Reader(Path(folder))
     pose = Path("global_pose")
@@ -102,9 +107,8 @@ def read_comma(folder: str | Path) -> Comma:
     position = reader.rows(pose / "frame_positions", 3)
     velocity = reader.rows(pose / "frame_velocities", 3)
     turn = reader.rows(pose / "frame_orientations", 4)
-    n = min(map(len, (time, position, velocity, turn)))
-    keep, timing = _ordered("global_pose/frame_times", time[:n])
-    reference = Reference(time[:n][keep], position[:n][keep], velocity[:n][keep], turn[:n][keep], timing)
+    keep, timing = _ordered("global_pose/frame_times", time, positions=position, velocities=velocity, orientations=turn)
+    reference = Reference(time[keep], position[keep], velocity[keep], turn[keep], timing)
     speed, wheels = reader.series("CAN/speed"), reader.series("CAN/wheel_speed", 4)
     acceleration, rate = reader.series("IMU/accelerometer", 3), reader.series("IMU/gyro", 3)
     fixes = _fixes(reader)
@@ -152,12 +156,18 @@ def read_rows(path: str | Path, columns: int | None, max_bytes: int = MAX_BYTES)
     return numbers
 
 
-def _ordered(name: str, time_s: Array) -> tuple[NDArray[np.bool_], Timing]:
-    """As in_order, of times that must be in seconds."""
+def _ordered(name: str, time_s: Array, **values: Array) -> tuple[NDArray[np.bool_], Timing]:
+    """As in_order, of times in seconds and as many rows of each array of values."""
+    for what, rows in values.items():
+        if len(rows) != time_s.size:  # a row too few may be the first, a middle or the last one
+            raise InputError(
+                f"{name} and its {what} must have as many rows as each other, got {time_s.size} and {len(rows)}: one "
+                "of the files is cut; download it again"
+            )
     usual_s = float(np.median(np.abs(np.diff(time_s)))) if time_s.size > 1 else 0.0
     if usual_s > SLOWEST_S:
         raise InputError(f"{name} must be in s, most rows are {usual_s:g} s apart: are they in ms? Convert them")
-    return in_order(name, time_s)
+    return in_order(name, time_s, rows=np.column_stack([time_s, *values.values()]))
 
 
 def _fixes(reader: _Reader) -> ReceiverFixes | None:
@@ -193,8 +203,7 @@ class _Reader:
         return found
 
     def series(self, name: str, columns: int | None = None) -> Series:
-        """The series of ``NAME/t`` and ``NAME/value``, cut to the shorter of the two."""
+        """The series of ``NAME/t`` and ``NAME/value``."""
         time, value = self.rows(Path(name) / "t"), self.rows(Path(name) / "value", columns)
-        n = min(len(time), len(value))
-        keep, timing = _ordered(f"{name}/t", time[:n])
-        return Series(time[:n][keep], value[:n][keep], timing)
+        keep, timing = _ordered(f"{name}/t", time, value=value)
+        return Series(time[keep], value[keep], timing)

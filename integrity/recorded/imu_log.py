@@ -44,19 +44,22 @@ REST_S, LEAST_ROWS = 2.0, 10
 FORCE_UNITS = {"m/s^2": G_MPS2, "mg": 1e3, "cm/s^2": 100.0 * G_MPS2, "ft/s^2": G_MPS2 / 0.3048}
 CLOCKS = (0.99, 1.01)  # rate of GPS time against a sensor's clock
 CLOCK_UNITS = {"s": 1e3, "us": 1e-3, "ns": 1e-6}
+UNTAGGED_S = 1.0  # without tags at the end of a log; blocks come every some hundredths
 MOST_OFF_S = 0.1  # nine tenths of the tags from a line; blocks come within some hundredths
 
 
 @dataclass(frozen=True)
 class ImuLog:
     """Samples (N,): GPS time [s since 1980-01-06], specific force [m/s^2] and rate [rad/s] (N, 3) on forward, right,
-    down; ``stopped`` is the place where a truncated file ends."""
+    down; ``stopped`` is the place where a truncated file ends, ``tags`` what of the time tags is missing, "" for
+    nothing."""
 
     gps_time_s: Array
     force_mps2: Array
     rate_radps: Array
     stopped: Stop | None
     timing: Timing = UNTIMED
+    tags: str = ""
 
     @property
     def rate_hz(self) -> float:
@@ -78,27 +81,37 @@ def read_imu_log(path: str | Path, tag: str | Path | None = None) -> ImuLog:
     if len(rows) < LEAST_ROWS:
         raise InputError(f"{path} must have at least {LEAST_ROWS} samples, got {len(rows)}: is it the log of an IMU?")
     clock_s = 1e-3 * rows[:, 6] - 1e-3 * rows[0, 6]
-    keep, timing = in_order(path, clock_s)
+    keep, timing = in_order(path, clock_s, rows=rows)
     rows, ends, line_of, clock_s = rows[keep], ends[keep], line_of[keep], clock_s[keep]
     tags = Path(f"{path}.tag" if tag is None else tag)
-    start_s, tick_s, received = _tags(tags)
+    start_s, tick_s, received, rest = _tags(tags)
     # a copy whose line ends were changed has one byte less in each line than the tags count
     fits = [_clock(path, clock_s, read, timing, tick_s, received) for read in (ends, ends + line_of)]
     rate, offset, off_s = min(fits, key=lambda fit: fit[2])
+    # what an edited log shows; with its own tags the two agree to a block
+    counts = (
+        f". Tags count the bytes of the log, {received[-1]} where it has {ends[-1]}: write changed numbers "
+        "as wide as those recorded, or make the tags anew"
+    )
     unit = next((unit for unit, factor in CLOCK_UNITS.items() if 0.9 < rate / factor < 1.1), "")
     if off_s > MOST_OFF_S and not unit:
         raise InputError(
             f"the clock of {path} must keep to a line through its time tags within {MOST_OFF_S:g} s, is {off_s:.2f} s "
-            "off: one of them jumps, or the tags are of another log; cut the files there, or give its own tags"
+            f"off: one of them jumps, or the tags are of another log; cut the files there, or give its own tags{counts}"
         )
     if not CLOCKS[0] < rate < CLOCKS[1]:
         raise InputError(
             f"the clock of {path} must run within 1 % of its time tags, got a factor of {rate:.4f}: "
-            f"{f'it is probably in {unit}, not in ms' if unit else 'give its own tags'}"
+            f"{f'it is probably in {unit}, not in ms' if unit else f'give its own tags{counts}'}"
         )
     start = start_s + offset
     timing = replace(timing, gaps_s=start + rate * timing.gaps_s)
-    return ImuLog(start + rate * clock_s, G_MPS2 * SIGNS * rows[:, :3], np.radians(SIGNS * rows[:, 3:6]), stop, timing)
+    after_s = rate * clock_s[-1] + offset - tick_s[-1]
+    if after_s > UNTAGGED_S:
+        rest = f"time tags end {after_s:.1f} s before the log, whose later times are those of its own clock"
+    return ImuLog(
+        start + rate * clock_s, G_MPS2 * SIGNS * rows[:, :3], np.radians(SIGNS * rows[:, 3:6]), stop, timing, rest
+    )
 
 
 def _clock(
@@ -169,7 +182,9 @@ def _samples(path: str | Path) -> tuple[Array, Ints, Ints, Stop | None]:
 
 
 def _numbers(text: str) -> list[float]:
-    words = text.replace(";", ",").replace("\t", ",").split(",")
+    words = text.split(",")
+    if ";" in text or "\t" in text:  # then commas are inside numbers
+        words = text.replace("\t", ";").split(";")
     if len(words) < len(COLUMNS):
         raise ValueError(
             f"must have {len(COLUMNS)} columns between commas, semicolons or tabs, got {len(words)}: the line is "
@@ -184,8 +199,9 @@ def _numbers(text: str) -> list[float]:
     return values
 
 
-def _tags(path: Path) -> tuple[float, Array, Ints]:
-    """GPS time at the start [s since 1980-01-06], and of each block the time since then [s] and the bytes so far."""
+def _tags(path: Path) -> tuple[float, Array, Ints, str]:
+    """GPS time at the start [s since 1980-01-06], of each block the time since then [s] and the bytes so far, and a
+    note where the last block is cut."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -198,5 +214,6 @@ def _tags(path: Path) -> tuple[float, Array, Ints]:
         blocks = np.frombuffer(body, kind, len(body) // kind.itemsize)
         tick, length = blocks["tick"].astype(np.float64), blocks["bytes"].astype(np.int64)
         if (np.diff(tick) >= 0.0).all() and (np.diff(length) >= 0).all() and length[-1] > 0:
-            return float(start) - GPS_EPOCH_S, 1e-3 * tick, length
+            cut = "time tags are cut inside their last block" if len(body) % kind.itemsize else ""
+            return float(start) - GPS_EPOCH_S, 1e-3 * tick, length, cut
     raise InputError(f"time tags {path} must have blocks whose times and lengths ascend, has not: give RTKLIB's .tag")

@@ -184,6 +184,8 @@ def read_observations(path: str | Path, max_bytes: int = MAX_BYTES) -> Observati
     if refusal is None and lines.stop is None and parser.unfinished():
         refusal = Stop(lines.number, parser.unfinished())
     stopped = lines.stop or refusal
+    if not lines.read:
+        raise InputError(f"{path} must hold observations, is empty: download it again")
     if parser.header is None:
         raise InputError(f"{path} must have a complete RINEX header, {stopped or 'it has none'}: is it a RINEX 3 file?")
     return parser.result(path, stopped)

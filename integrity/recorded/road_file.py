@@ -5,7 +5,7 @@ A line is a street in both directions. Of its properties these are read, by the 
 - ``name``, ``ref`` or ``id``: what the road is called;
 - ``oneway``: yes, true or 1 (along the line), -1 or reverse (against it), else both directions; lines of ``junction``
   roundabout and of ``highway`` motorway are of one direction unless ``oneway`` says no;
-- ``maxspeed``: km/h, or ``30 mph``;
+- ``maxspeed``: km/h, or ``30 mph``; 50 km/h where it is none, walk, signals, variable, or a zone as DE:urban;
 - ``highway``: ways that no car drives on (footway, cycleway, ...) are left out.
 
 Streets meet where their lines have a vertex in common.
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +41,8 @@ NO_CARS = frozenset({
 })  # fmt: skip
 FORWARD, BACKWARD, BOTH = frozenset({"yes", "true", "1"}), frozenset({"-1", "reverse"}), frozenset({"no", "false", "0"})
 WGS84 = ("crs84", "epsg::4326", "epsg:4326")
+# values of maxspeed that give no number: https://wiki.openstreetmap.org/wiki/Key:maxspeed
+WITHOUT_NUMBER = re.compile(r"|none|walk|signals|variable|[a-z]{2}([-_][a-z]+)?:[\w:]+")
 LINES = ("LineString", "MultiLineString")
 
 
@@ -57,7 +60,7 @@ class RoadLine:
 @dataclass(frozen=True)
 class RoadLines:
     """The lines of a file, and what else it holds: features that are no lines, ways without cars, ways and limits
-    that are malformed, the first of them in words."""
+    that are malformed, the first of each in words."""
 
     lines: tuple[RoadLine, ...]
     others: int
@@ -65,6 +68,14 @@ class RoadLines:
     malformed: int = 0
     limits: int = 0
     first: str = ""
+    first_limit: str = ""
+
+    @property
+    def note(self) -> str:
+        """What of the file was not used as it says, "" for nothing."""
+        ways = f"{self.malformed} malformed ways left out, the first: {self.first}" if self.malformed else ""
+        limits = f"{self.limits} speed limits taken as 50 km/h, the first: {self.first_limit}" if self.limits else ""
+        return "; ".join(text for text in (ways, limits) if text)
 
 
 def read_roads(path: str | Path) -> RoadLines:
@@ -74,13 +85,14 @@ def read_roads(path: str | Path) -> RoadLines:
     ------
     InputError
         The file cannot be read, is no GeoJSON in longitude and latitude, holds no road, or more than a tenth of its
-        ways are malformed.
+        ways or of their speed limits are malformed.
     """
     path = Path(path)
     features = _features(path, _document(path))
     lines: list[RoadLine] = []
-    others = without_cars = limits = 0
+    others = without_cars = ways = 0
     wrong: list[str] = []
+    limits: list[str] = []
     for number, feature in enumerate(features):
         where = f"{path}, feature {number}"
         if not isinstance(feature, Mapping):
@@ -93,24 +105,37 @@ def read_roads(path: str | Path) -> RoadLines:
         else:
             try:
                 lines += _lines(where, geometry, feature, given, number)
-                limits += _limit(given.get("maxspeed")) is None
+                ways += 1
+                if _limit(given.get("maxspeed")) is None:
+                    limits.append(f"{where}: maxspeed {str(given['maxspeed'])[:40]!r}")
             except InputError as error:  # one bad way of a city is no reason to refuse it
                 wrong.append(str(error))
     if len(wrong) > max(MOST_MALFORMED * (len(lines) + len(wrong)), 1.0) or (wrong and not lines):
         raise InputError(f"{wrong[0]} ({len(wrong)} of {len(lines) + len(wrong)} ways of the file are malformed)")
+    if len(limits) > max(MOST_MALFORMED * ways, 1.0):  # as many are no typing errors
+        raise InputError(
+            f"{limits[0]} must be a limit in km/h above 0 and up to {FASTEST_MPS / KMH_MPS:g}, or as '30 mph' or "
+            f"DE:urban ({len(limits)} of {ways} ways have others): correct or remove them"
+        )
     if not lines:
         raise InputError(
             f"{path} must hold a LineString that cars drive on, has {others} other features and {without_cars} ways "
             "without cars: export the streets as lines"
         )
-    return RoadLines(tuple(lines), others, without_cars, len(wrong), limits, wrong[0] if wrong else "")
+    first, first_limit = (found[0] if found else "" for found in (wrong, limits))
+    return RoadLines(tuple(lines), others, without_cars, len(wrong), len(limits), first, first_limit)
 
 
 def _document(path: Path) -> Mapping[str, Any]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"{path} must have at most {MAX_BYTES} bytes, has {path.stat().st_size}: cut out an area")
-        found = json.loads(path.read_text(encoding="utf-8-sig"))
+        text = path.read_text(encoding="utf-8-sig")
+        if not text.strip():
+            raise InputError(f"{path} must be GeoJSON, is empty: export it again")
+        if text.lstrip().startswith("<"):
+            raise InputError(f"{path} must be GeoJSON, is XML: convert an .osm file with osmtogeojson")
+        found = json.loads(text)
     except OSError as error:
         raise InputError(f"map must be a file that can be read, got {path} ({error.strerror}): correct the path") from (
             error
@@ -164,9 +189,10 @@ def _vertices(where: str, part: Any) -> Array:
         numbers = vertex[:2] if isinstance(vertex, list) else []
         good = len(numbers) == 2 and all(isinstance(v, int | float) and math.isfinite(v) for v in numbers)
         if not good or not (-180.0 <= numbers[0] <= 180.0 and -90.0 <= numbers[1] <= 90.0):
+            metres = good and max(map(abs, numbers)) > 360.0
             raise InputError(
                 f"{where}: vertex {k} must be longitude in [-180, 180] and latitude in [-90, 90], got "
-                f"{str(vertex)[:60]}: correct it"
+                f"{str(vertex)[:60]}: {'they are metres, as of UTM; export in EPSG:4326' if metres else 'correct it'}"
             )
         out[k] = numbers
     return np.asarray(out[np.concatenate([[True], (np.diff(out, axis=0) != 0.0).any(-1)])])
@@ -182,11 +208,11 @@ def _directions(given: Mapping[str, Any]) -> tuple[bool, bool]:
 
 
 def _limit(given: Any) -> float | None:
-    """A speed limit [m/s]; that of towns where none is given in numbers, None for one that no road has."""
+    """A speed limit [m/s]; that of towns for values without a number, None for what no road has."""
     text = str(given if given is not None else "").strip().lower()
     unit = MPH_MPS if text.endswith("mph") else KMH_MPS
     try:
         limit = unit * float(text.removesuffix("mph").removesuffix("km/h").strip())
     except ValueError:
-        return USUAL_LIMIT_MPS  # none, walk, DE:urban
+        return USUAL_LIMIT_MPS if WITHOUT_NUMBER.fullmatch(text) else None
     return limit if 0.0 < limit <= FASTEST_MPS else None

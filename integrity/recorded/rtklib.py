@@ -35,6 +35,7 @@ Ints = NDArray[np.int64]
 Row = Callable[[list[str]], list[float]]
 
 COMMENT = "%"
+DECIMAL_COMMA = re.compile(r"\d,\d")
 FIXED, FLOAT = 1, 2  # values of Q
 SCALES = ("GPST", "UTC", "JST")
 JST_AHEAD_S = 9 * 3600.0
@@ -137,6 +138,8 @@ def read_rtk_solution(path: str | Path) -> RtkSolution:
     head = _Head()
 
     def row(words: list[str]) -> list[float]:
+        if words[0].startswith("$"):
+            raise ValueError(f"must be a solution, got NMEA ({words[0][:10]}): set out-solformat of RTKLIB to llh")
         time, rest = _time(words)
         places = PLACES[head.form]
         try:
@@ -154,7 +157,7 @@ def read_rtk_solution(path: str | Path) -> RtkSolution:
         return [time, *_plain(values[:-2], head.form), *values[-2:], ratio, *speeds]
 
     rows, stop = _rows(path, row, comment=head.take)
-    keep, timing = in_order(path, rows[:, 0])
+    keep, timing = in_order(path, rows[:, 0], rows=rows)
     rows = rows[keep]
     time = rows[:, 0]
     if head.scale != "GPST":
@@ -189,7 +192,7 @@ def read_reference(path: str | Path) -> ReferenceTrack:
 
     rows, stop = _rows(path, row, ",")
     rows[:, 0] = unrolled(rows[:, 0])
-    keep, timing = in_order(path, rows[:, 0])
+    keep, timing = in_order(path, rows[:, 0], rows=rows)
     rows = rows[keep]
     week = None if np.isnan(rows[0, 4]) else int(rows[0, 4])
     return ReferenceTrack(rows[:, 0], week, rows[:, 1:4], np.radians(rows[:, 5]), stop, timing)
@@ -205,6 +208,8 @@ def _time(words: list[str]) -> tuple[float, list[str]]:
                 return moment.timestamp() - GPS_EPOCH_S + finite_number(f"0.{part or 0}", 0.0, 1.0), words[2:]
             except ValueError:
                 pass
+        if len(words) <= RATIO_AT:  # a time that is cut is no other form
+            raise ValueError(f"must have more than {RATIO_AT} columns, got {len(words)}: the line is truncated")
         raise ValueError(
             f"date and time must be as 2025/07/08 19:34:18.499, got {' '.join(words[:2])[:40]!r}: set out-timeform of "
             "RTKLIB to hms or tow"
@@ -239,12 +244,17 @@ def _ecef(place: Array, time_s: Array, head: _Head, path: str | Path) -> Array:
     coarse = head.form == DEG and head.decimals < FEWEST_DECIMALS
     away = 0.0 if head.base_m is None else float(np.linalg.norm(np.median(found, axis=0) - head.base_m))
     length = float(np.linalg.norm(np.median(found, axis=0)))
+    likely = "are these baselines (e/n/u)?"
+    if head.form == DEG and head.base_m is not None:
+        unturned = ecef_from_geodetic(place[:, 0], place[:, 1], place[:, 2])
+        if float(np.linalg.norm(np.median(unturned, axis=0) - head.base_m)) < FARTHEST_M:
+            likely = "they are probably in radians: convert them to degrees."
     apart = f", {away / 1000.0:.0f} km from ref pos" if away else ""
     if away > FARTHEST_M or pace > FASTEST_MPS or coarse or not 6.0e6 < length < 7.0e6:
         raise InputError(
             f"{path} must hold positions as {head.form}, {'as its head says' if head.named else 'without a head'}, the "
             f"first is {', '.join(f'{v:g}' for v in place[0])} with {head.decimals} decimals, most move at "
-            f"{pace:.0f} m/s{apart}: are these baselines (e/n/u)? Set "
+            f"{pace:.0f} m/s{apart}: {likely} Set "
             "out-solformat of RTKLIB to llh or xyz, and keep the head (out-outhead)"
         )
     return np.asarray(found)
@@ -300,6 +310,8 @@ def _rows(
                 comment(text)
             continue
         try:
+            if separator is None and "." not in text and DECIMAL_COMMA.search(text):
+                raise ValueError(f"numbers must have decimal points, got commas in {text.strip()[:40]!r}: write points")
             numbers = row(text.split(separator) if separator else re.split(r"[\s,;]+", text.strip()))
         except ValueError as error:
             refusal, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))

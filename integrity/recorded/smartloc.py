@@ -125,7 +125,8 @@ def read_smartloc_raw(path: str | Path) -> SmartLocRaw:
     if not system:
         raise InputError(f"{path} must hold at least one signal, got none: {refusal or 'is it a smartLoc *_raw.csv?'}")
     tables: dict[str, Any] = {name: np.array(column) for name, column in values.items()}
-    keep, timing = in_order(path, WEEK_S * tables["week"] + tables["tow_s"], repeated=True)
+    time = WEEK_S * tables["week"] + tables["tow_s"]
+    keep, timing = in_order(path, time, True, np.column_stack([*tables.values(), [ord(letter) for letter in system]]))
     tables = {name: column[keep] for name, column in tables.items()}
     whole = {name: tables.pop(name).astype(np.int64) for name in ("week", "satellite", "slot")}
     return SmartLocRaw(
@@ -265,7 +266,7 @@ def read_smartloc(path: str | Path, truth: str | Path | None = None) -> SmartLoc
         rows["point3"], stopped = true_rows["point3"], stopped or true_stop
     timings: dict[str, Timing] = {}
     for name in rows:
-        keep, timings[name] = in_order(f"{path}, {name}", rows[name][:, 0], repeated=name == "pseudorange3")
+        keep, timings[name] = in_order(f"{path}, {name}", rows[name][:, 0], name == "pseudorange3", rows[name])
         rows[name] = rows[name][keep]
     ranges = rows["pseudorange3"]
     if not ranges.shape[0]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import gzip
 import math
+import re
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -54,6 +55,8 @@ class Lines:
         try:
             with open_unpacked(self.path) as stream:
                 while raw := stream.readline(MAX_LINE):
+                    if not self.number:
+                        raw = raw.removeprefix(codecs.BOM_UTF8)  # which tags that count bytes do not know
                     self.number += 1
                     self.read += len(raw)
                     if self.read > self.max_bytes:
@@ -65,8 +68,7 @@ class Lines:
                         reason = f"it is longer than {MAX_LINE} bytes" if endless else "it has no line end"
                         self.stop = Stop(self.number, reason)
                         return
-                    marked = self.number == 1 and raw.startswith(codecs.BOM_UTF8)
-                    yield raw[3 * marked :].decode("latin-1").rstrip("\r\n")
+                    yield raw.decode("latin-1").rstrip("\r\n")
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             self.stop = Stop(self.number + 1, f"the compressed stream is damaged ({error})")
         except OSError as error:
@@ -90,7 +92,8 @@ def finite_number(text: str, low: float = -math.inf, high: float = math.inf) -> 
     try:
         value = float(text)
     except ValueError:
-        raise ValueError(f"must be a number, got {text[:40]!r}") from None
+        comma = ": write decimal points, not commas" if re.fullmatch(r"[-+]?\d+,\d+", text.strip()) else ""
+        raise ValueError(f"must be a number, got {text[:40]!r}{comma}") from None
     if not math.isfinite(value) or not low <= value <= high:
         raise ValueError(f"must lie in [{low:g}, {high:g}], got {text[:40].strip()!r}")
     return value

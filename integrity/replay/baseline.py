@@ -230,8 +230,8 @@ class Baseline:
     the base in E, N, U (T, 3) and in ECEF [m], heading [rad], levels and sigmas (T, 2) on AT, CT [m], numbers of
     satellites and of excluded ones, risk of wrong integers, age of the base epoch [s], inf without one, number of
     signals whose integers were sought and the failure rate of their integers, whose limit is ``failure_limit``;
-    ``choice`` of signals; ``base_ecef_m`` (3,), origin of E, N, U; the configuration ``rtk``. Levels are relative to
-    the base.
+    ``choice`` of signals; ``base_ecef_m`` (3,), origin of E, N, U; the configuration ``rtk`` and the integrity
+    ``risk`` of the levels, which are relative to the base.
 
     Positions are those of the antenna reference points of rover and base. The offset to the marker is ANTENNA: DELTA
     H/E/N of the header. Phase centres are assumed at the reference points (no calibrations).
@@ -256,6 +256,7 @@ class Baseline:
     choice: Choice
     base_ecef_m: Array
     rtk: RtkConfig
+    risk: float
 
     @property
     def fixed(self) -> NDArray[np.bool_]:
@@ -391,7 +392,7 @@ class _Session:
             np.zeros((n, 3)), np.zeros(n), np.full((n, 2), np.inf), np.full((n, 2), np.inf), np.zeros(n, np.int64),
             np.zeros(n, np.int64), np.zeros(n), np.full(n, np.inf), np.zeros(n, np.int64), np.zeros(n),
             FIRST_SHARE * self.config.rtk.ambiguity_risk_share * self.config.risk.integrity_risk, self.choice,
-            self.place, self.config.rtk,
+            self.place, self.config.rtk, self.config.risk.integrity_risk,
         )  # fmt: skip
         out.age_s[epochs] = age
         time = rover.since(int(rover.week[0]))

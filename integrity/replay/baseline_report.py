@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.bounding import doubt, measure_bounding
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import (
     ecef_from_enu_matrix,
@@ -158,7 +158,7 @@ def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, 
             for q, axis in enumerate(("at", "ct"))
         }
     if rover_ecef_m is not None:
-        found |= {"errors": _errors(solved, rover_ecef_m), "caution": CAUTION}
+        found |= _errors(solved, rover_ecef_m) | {"caution": CAUTION}
     return found
 
 
@@ -194,22 +194,24 @@ def _lacking(solved: Baseline, waiting: NDArray[np.bool_]) -> dict[str, Any]:
 
 
 def _errors(solved: Baseline, rover_ecef_m: Array) -> dict[str, Any]:
-    """Errors against the true position, for fixed epochs and for all epochs with a position."""
+    """Errors against the true position, for fixed epochs and for all epochs with a position, and doubts of levels."""
     latitude, longitude, _ = geodetic_from_ecef(solved.base_ecef_m)
     true = (rover_ecef_m - solved.base_ecef_m) @ ecef_from_enu_matrix(latitude, longitude)
     out: dict[str, Any] = {}
+    doubts = []
     for name, keep in (("fixed", solved.fixed), ("all", solved.mode != Mode.NONE)):
         if not keep.any():
             continue
         off = solved.enu_m[keep] - true
         track = (track_from_enu_matrix(solved.heading_rad[keep]) @ off[:, :2, None])[..., 0]
+        doubts.append(doubt(solved.risk, track, solved.pl_m[keep], f"{name} epochs"))
         out[name] = {
             "horizontal_max_m": float(np.hypot(*off[:, :2].T).max()),
             "spatial_max_m": float(np.linalg.norm(off, axis=1).max()),
             "mean_enu_m": off.mean(0).tolist(),
             **{a: asdict(measure_bounding(track[:, q], solved.pl_m[keep, q])) for q, a in enumerate(("at", "ct"))},
         }  # fmt: skip
-    return out
+    return {"errors": out, "doubt": next(filter(None, doubts), None)}
 
 
 def read_coordinates(text: str) -> Array:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.assessment.accuracy import assess
-from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.bounding import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.assessment.record import AXES, Record
 from lanebound.integrity.assessment.series import map_figure, series_figure
@@ -396,6 +396,7 @@ class CityResult:
     def summary(self) -> dict[str, Any]:
         """Statistics as JSON data."""
         limits, best = self.config.alerts.limits, self.solutions["overbound"]
+        risk, after = self.config.solution.risk.integrity_risk, self.record("overbound", "after_training")
         parts = {}
         for name, solution in self.solutions.items():
             parts[name] = {
@@ -415,7 +416,8 @@ class CityResult:
         return {
             "agreement": {name: found.figures() for name, found in check_smartloc(self.drive).items()},
             "left_out_at_gaps": int(self.drive.bridged(best.time_s, self.config.solution.window_s).sum()),
-            "risk": self.config.solution.risk.integrity_risk, "trained_until_s": self.until_s, "caution": CAUTION,
+            "risk": risk, "doubt": None if after is None else doubt(risk, *after.by_epoch(), "epochs of overbound"),
+            "trained_until_s": self.until_s, "caution": CAUTION,
             "bounds": {key: np.round(value, 3).tolist() for key, value in asdict(self.errors).items()},
             "solutions": parts,
         }  # fmt: skip

@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 MOVES_M = 15.0  # spread of code positions, 90 % of them, of a receiver that moves; noise is a few metres
 NEAR_M = 30.0  # of a receiver from its codes; further is doubtful: codes with models of the air are good to about 10 m
 WRONG_M = 100.0  # what codes cannot be wrong by
+NO_CODES_M = 1e5  # that no time explains: orbits and clocks of an old message are off by kilometres
 MISFIT_M = 100.0  # deviation of codes that no position explains; 1 s of time is up to 800 m
 GLONASS_AHEAD_S = 10_800.0  # of UTC
 CLOCK_S = 8.0  # up to which the error of a clock is found
@@ -62,7 +63,8 @@ class CodePlaces:
 
     @property
     def misfit_m(self) -> float | None:
-        """Deviation of codes from those of their positions [m], median; None where no epoch has one code too many."""
+        """Deviation of codes from those of their positions [m], median, inf without a position; None where no epoch has
+        one code too many."""
         return float(np.median(self._misfits_m)) if self._misfits_m else None
 
     @property
@@ -83,7 +85,8 @@ class CodePlaces:
             if rows.size < max(FEWEST, 4 + present.size):
                 return None
             solved = _least_squares(arc, k, rows, delay, place, group)
-            if solved is None:
+            if solved is None:  # enough satellites, and no place on Earth or above it
+                self._misfits_m.append(math.inf)
                 return None
             place, misfit = solved
             low, delay = self._delays(arc, k, rows, place, tow_s)
@@ -117,12 +120,14 @@ def require_gps_time(
     Raises
     ------
     InputError
-        They fit no position, but do with times in another scale; the message names the scale.
+        They fit no position, but do with times in another scale; the message names the scale. Or they fit none
+        at any time.
     """
     own = CodePlaces(observations, codes, choice, table, ionosphere)
     if own.misfit_m is not None and own.misfit_m <= MISFIT_M:
         return own
-    found = "give no position" if own.misfit_m is None else f"deviate by {own.misfit_m:,.0f} m from any position"
+    off_m = math.inf if own.misfit_m is None else own.misfit_m
+    found = f"deviate by {off_m:,.0f} m from any position" if off_m < math.inf else "give no position"
     leap_s = float(leap_seconds(np.array(observations.week[0] * WEEK_S + observations.tow_s[0])))
 
     def misfit_m(behind_s: float) -> float:
@@ -147,6 +152,11 @@ def require_gps_time(
                 f"times of the {name} must be GPS time, its codes {found}, and deviate by {misfit:.0f} m with times "
                 f"{behind_s:+.6g} s later: they are probably {scales.get(behind_s, other)}"
             )
+    if own.misfit_m is not None and own.misfit_m > NO_CODES_M:  # a clock or an orbit that is off is nearer
+        raise InputError(
+            f"codes of the {name} must be distances to the satellites of its navigation, they {found} at any time: its "
+            "columns of codes and phases are exchanged, or the navigation is of other satellites; correct them"
+        )
     return own
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.assessment.bounding import doubt
 from lanebound.integrity.assessment.plotting import INK, legend, new_figure, save, tidy
 from lanebound.integrity.assessment.warning_rates import WarningCounts, sweep_thresholds
 from lanebound.integrity.core.errors import InputError
@@ -167,9 +168,7 @@ def write_context(
     """
     config, lines = ContextReplayConfig.build(None, changes), read_roads(roads)
     epochs, stopped = read_context_epochs(folder, kind, config)
-    stopped |= (
-        {roads.name: f"{lines.malformed} malformed ways left out, the first: {lines.first}"} if lines.first else {}
-    )
+    stopped |= {roads.name: lines.note} if lines.note else {}
     drive = drive_context(epochs, lines, config, progress)
     summary = {
         "dataset": "context", "recording": kind, "stopped": stopped or None, **summarise_context(drive),
@@ -211,6 +210,7 @@ def summarise_context(drive: ReplayedContext) -> dict[str, Any]:
         known = e.known & e.fix.located
         over, level = errors > drive.level_m[known], drive.level_m[known]
         found["error"] |= {"beyond_level": int(over.sum()), "with_level": int(np.isfinite(level).sum())}
+        found["doubt"] = doubt(drive.config.position.missed_detection, errors, level, "epochs")
     return found | {"judged": int(drive.judged.sum()), "rates": _rates(drive), "caution": CAUTION}
 
 

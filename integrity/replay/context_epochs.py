@@ -26,7 +26,7 @@ from lanebound.integrity.recorded.comma import Comma, read_comma
 from lanebound.integrity.recorded.smartloc import Odometry
 from lanebound.integrity.replay.code_epochs import reckoned_steps
 from lanebound.integrity.replay.doppler_rates import carrier_rates
-from lanebound.integrity.replay.recording_checks import check_comma
+from lanebound.integrity.replay.recording_checks import aligned_comma
 from lanebound.integrity.replay.service_drive import read_service_epochs
 from lanebound.integrity.replay.service_epochs import ServiceEpochs
 from lanebound.integrity.replay.window import LocalFrame
@@ -99,8 +99,7 @@ def read_context_epochs(folder: Path, kind: str, config: ContextReplayConfig) ->
         The recording cannot be read, or has no positions.
     """
     if kind == "comma2k19":
-        segment = read_comma(folder)
-        check_comma(segment)
+        segment, _ = aligned_comma(read_comma(folder))
         return _of_receiver(segment, config), segment.notes
     epochs, _, stopped = read_service_epochs(folder, kind, ["spp"])
     return _of_codes(epochs, config), stopped or {}

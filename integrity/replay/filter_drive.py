@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.bounding import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.assessment.series import series_figure
@@ -43,7 +43,7 @@ from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import path_headings, recorded_epochs
 from lanebound.integrity.replay.outages import averaged
 from lanebound.integrity.replay.reckoning import reckon
-from lanebound.integrity.replay.recording_checks import check_comma, check_smartloc
+from lanebound.integrity.replay.recording_checks import aligned_comma, check_smartloc
 from lanebound.integrity.sensors.gnss import GnssEpoch
 from lanebound.integrity.sensors.imu import ImuSample
 from lanebound.integrity.sensors.instruments import Measurements
@@ -310,8 +310,7 @@ def write_filter(
         city = read_city(folder)
         sensors, notes, agreement = smartloc_sensors(city, config), city.notes, check_smartloc(city)
     else:
-        segment = read_comma(folder)
-        agreement = check_comma(segment)
+        segment, agreement = aligned_comma(read_comma(folder))
         sensors, notes = comma_sensors(segment, config), segment.notes
     drive = drive_filter(sensors, config)
     found = {"dataset": "filter", "recording": kind, "navigator": navigator, "stopped": notes}
@@ -329,10 +328,14 @@ def filter_summary(drive: FilterDrive, config: FilterReplayConfig) -> dict[str, 
     s, error = drive.sensors, _errors(drive)
     levelled = s.known & np.isfinite(drive.levels_m[:, 0]).all(-1)
     fixed = s.known & s.fix.valid
+    doubts = (
+        doubt(risk, error[levelled], drive.levels_m[levelled, 1 + k], "epochs") for k, risk in enumerate(config.risks)
+    )
     off = np.linalg.norm(error, axis=-1)
     fix_off = np.linalg.norm(s.fix.position_m[:, :2] - s.truth_m, axis=-1)
     return {
         "filter": drive.config.filter,
+        "doubt": next(filter(None, doubts), None),
         "epochs": int(s.time_s.size),
         "with_truth": int(s.known.sum()),
         "with_level": int(levelled.sum()),

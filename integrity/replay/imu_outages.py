@@ -23,15 +23,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.bounding import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
+from lanebound.integrity.core.frames import (
+    ecef_from_enu_matrix,
+    ecef_from_geodetic,
+    geodetic_from_ecef,
+    track_from_enu_matrix,
+)
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.imu_log import G_MPS2, ImuLog, levelled, read_imu_log
 from lanebound.integrity.recorded.rtklib import RtkSolution, read_rtk_solution
-from lanebound.integrity.recorded.series import notes
+from lanebound.integrity.recorded.series import UNTIMED, notes
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.outages import OutageErrors, averaged, by_age, drift_figure
 from lanebound.integrity.replay.reckoning import reckon, turned
@@ -47,6 +52,7 @@ from lanebound.integrity.replay.sensor_checks import (
     Quantity,
     correlation,
     require_agreement,
+    require_changing,
     require_lag,
     require_throughout,
 )
@@ -70,6 +76,7 @@ REST_MPS = 0.3
 OLD_MPS, OLD_SHARE = 1.0, 0.2  # a velocity that differs more from the change of position is not of its epoch
 LONGEST_GAP_S = 0.6  # between epochs of the solution
 WORST_QUALITY = 2  # of RTKLIB: 1 fixed, 2 float
+RADIANS = 0.1  # relative, of velocities that fit; read as degrees they are 57 times too large
 LEAST_COHERENCE = 0.7
 MIRRORS = ([-1.0, 1.0, 1.0], [1.0, -1.0, 1.0])  # that of the third axis shows in the yaw rate
 MIRRORED = 0.05  # by how much coherence must be better with a mirrored axis
@@ -131,11 +138,23 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         raise InputError(
             "the solution must have velocities in all rows, has none in some: set out-outvel of RTKLIB to on"
         )
-    _require_signals(log)
-    level, roll, pitch = levelled(log, config.rest_s)
-    rates = _rates(log, config)
+    if not ((track.quality >= 1) & (track.quality <= WORST_QUALITY)).any():
+        kinds = ", ".join(map(str, np.unique(track.quality)))
+        raise InputError(
+            f"the solution must have rows of Q 1 (fixed) or 2 (float), its {track.quality.size} rows have Q {kinds}: "
+            "process it by RTK with a base (pos1-posmode of RTKLIB kinematic)"
+        )
     at = _common_times(log, track, config)
     place, speed, heading, known, near = _reference(track, at)
+    turning, ahead = np.gradient(heading, at), np.gradient(speed, at)
+    on = known & near & (speed > MOVING_MPS)
+    for quantity, sensor, true in ((YAW_RATE, "rate", turning), (ACCELERATION, "force", ahead)):
+        for k, axis in enumerate("xyz"):  # raw, because levelling mixes the axes
+            value = (log.rate_radps if sensor == "rate" else log.force_mps2)[:, k]
+            named = quantity._replace(name=f"{sensor} {axis}")
+            require_changing(named, "the log", log.gps_time_s, value, at[on], true[on])
+    level, roll, pitch = levelled(log, config.rest_s)
+    rates = _rates(log, config)
     in_gap = log.timing.bridged(at, LAG_S + 1.0 / config.rate_hz, LAG_S + 1.0 / config.rate_hz)
     bridged = in_gap | ~near
     first = _calibrated_from(speed, known & ~bridged, config)
@@ -146,14 +165,13 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         )
     part = np.flatnonzero(known[:first] & ~bridged[:first] & (speed[:first] > MOVING_MPS))
     seconds = part.size / config.rate_hz
-    turning, ahead = np.gradient(heading, at), np.gradient(speed, at)
 
     def sensed(value: Array, lag: float) -> Array:
         within = np.clip(at + lag, log.gps_time_s[0], log.gps_time_s[-1])
         return averaged(log.gps_time_s, value, within, config.rate_hz)
 
     late, alike = require_lag("the log", turning[part], lambda lag: sensed(rates[:, 2], lag)[part], YAW_RATE)
-    turns = replace(require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds), lag_s=late)
+    turns = require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds)
     moved = float(speed[at < log.gps_time_s[0] + config.rest_s].max(initial=0.0))
     if moved > REST_MPS:
         raise InputError(
@@ -169,7 +187,10 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     forward = c * force[:, 0] + s * force[:, 1]
     pitched, *mirrored = (
         _integral(at, c * sensed(turned_by[:, 1], lag) - s * sensed(turned_by[:, 0], lag))
-        for turned_by in (rates, *(_rates(replace(log, rate_radps=log.rate_radps * of), config) for of in MIRRORS))
+        for turned_by in (
+            rates,
+            *(_rates(replace(log, rate_radps=other), config) for other in _other_gyros(log.rate_radps)),
+        )
     )
     pushes = require_agreement(ACCELERATION, "g", "the log", ahead[part], forward[part], seconds)
     climbs = _slopes_agree(track, at, speed, [pitched, *mirrored], part, config)
@@ -186,7 +207,10 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     return motion, {
         "roll_deg": math.degrees(roll), "pitch_deg": math.degrees(pitch), "azimuth_deg": math.degrees(-azimuth),
         "coherence": coherence, "lag_s": lag, "yaw_bias_degps": math.degrees(bias), "from_s": float(at[first] - at[0]),
-        "agreement": {name: found.figures() for name, found in agreements.items()},
+        "agreement": {
+            name: replace(found, lag_s=lag if late is not None else None, corrected=True).figures()
+            for name, found in agreements.items()
+        },
     }  # fmt: skip
 
 
@@ -216,17 +240,6 @@ def _lag_of_turns(sensed: Callable[[float], Array], turning: Array) -> float:
     return lag
 
 
-def _require_signals(log: ImuLog) -> None:
-    """Refuse a column of one value, in which levelling would mix parts of other axes."""
-    for sensor, values in (("force", log.force_mps2), ("rate", log.rate_radps)):
-        for axis, column in zip("xyz", values.T, strict=True):
-            if np.ptp(column) == 0.0:
-                raise InputError(
-                    f"{sensor} {axis} of the log must change, all {column.size} rows have one value: the axis has no "
-                    "signal; correct the columns"
-                )
-
-
 def _rates(log: ImuLog, config: ImuOutageConfig) -> Array:
     """Rates (N, 3) of the levelled log less their means at rest [rad/s]."""
     rates, rest = levelled(log, config.rest_s)[0].rate_radps, log.gps_time_s < log.gps_time_s[0] + config.rest_s
@@ -244,22 +257,37 @@ def _slopes_agree(
 ) -> Agreement:  # fmt: skip
     """Agreement of the pitch by the gyro with the slope by the velocities, as changes over SLOPE_S in rad/s.
 
-    ``pitches`` are those with the axes of the log, and with one of them mirrored.
+    ``pitches`` are those with the axes of the log, and with those of :func:`_other_gyros`.
 
     Raises
     ------
     InputError
-        A mirrored one fits better, or the first has another unit or sign.
+        One of the others fits better, or the first has another unit or sign.
     """
     assert track.velocity_neu_mps is not None
     slope = np.arctan2(np.interp(at, track.gps_time_s, track.velocity_neu_mps[:, 2]), np.maximum(speed, MOVING_MPS))
     step = max(round(SLOPE_S * config.rate_hz), 1)
     k = part[(part + step < at.size) & np.isin(part + step, part)]
     by_solution, by_gyro, *others = ((values[k + step] - values[k]) / SLOPE_S for values in (slope, *pitches))
-    given, better = correlation(by_solution, by_gyro), max(correlation(by_solution, other) for other in others)
+    given, found = correlation(by_solution, by_gyro), [correlation(by_solution, other) for other in others]
+    better = max(found)
     if better > max(given + CLEARLY, LEAST_CORRELATION):
-        raise InputError(_mirrored_text("gyro or the accelerometer", given, better))
-    return require_agreement(PITCH_RATE, "deg/s", "the log", by_solution, by_gyro, k.size / config.rate_hz)
+        if found.index(better) >= len(MIRRORS):
+            raise InputError(
+                "rate x and rate y of the log must be about the axes forward and left, or turned from there, exchanged "
+                f"their correlation with the solution rises from {given:.2f} to {better:.2f}: exchange the columns"
+            )
+        text = _mirrored_text("gyro or the accelerometer", given, better)
+        raise InputError(f"{text}, or of vu of the solution")
+    return require_agreement(
+        PITCH_RATE, "deg/s", "the log, or vu of the solution,", by_solution, by_gyro, k.size / config.rate_hz
+    )
+
+
+def _other_gyros(rate_radps: Array) -> list[Array]:
+    """Rates (N, 3) with an axis mirrored (MIRRORS), and with roll and pitch exchanged, of either sign."""
+    exchanged = rate_radps[:, [1, 0, 2]]
+    return [*(rate_radps * of for of in MIRRORS), exchanged, exchanged * [-1.0, -1.0, 1.0]]
 
 
 def _mirrored_text(sensor: str, given: float, better: float) -> str:
@@ -305,9 +333,25 @@ def _old(track: RtkSolution, enu: Array) -> Bools:
     near = np.flatnonzero(
         (np.diff(time, prepend=time[0]) <= LONGEST_GAP_S) & (np.diff(time, append=time[-1]) <= LONGEST_GAP_S)
     )
+    _require_degrees(track, reported)
     require_agreement(SPEED, "m/s", "the solution's velocities", moved[near].ravel(), reported[near].ravel(), near.size)
     off = np.linalg.norm(moved - reported, axis=-1)
     return np.asarray(off > OLD_MPS + OLD_SHARE * np.linalg.norm(moved, axis=-1))
+
+
+def _require_degrees(track: RtkSolution, reported_mps: Array) -> None:
+    """Raise InputError where the velocities (N, 2) of a solution fit its positions if these are in radians."""
+    latitude, longitude, height = geodetic_from_ecef(track.position_ecef_m)
+    driven = np.linalg.norm(reported_mps, axis=-1) > MOVING_MPS
+    if np.abs(np.degrees(latitude)).max() > 0.5 * math.pi or not driven.any():
+        return
+    place = ecef_from_geodetic(np.degrees(latitude), np.degrees(longitude), height)
+    moved_mps = np.linalg.norm(np.gradient(place, track.gps_time_s, axis=0), axis=-1)
+    if abs(float(np.median(moved_mps[driven] / np.linalg.norm(reported_mps[driven], axis=-1))) - 1.0) < RADIANS:
+        raise InputError(
+            f"latitude and longitude of the solution must be in degrees, got {math.degrees(latitude[0]):.4f}, "
+            f"{math.degrees(longitude[0]):.4f}, which fit its velocities as radians: convert them to degrees"
+        )
 
 
 def _calibrated_from(speed: Array, known: Bools, config: ImuOutageConfig) -> int:
@@ -448,6 +492,7 @@ def write_imu_outages(
     figures = {
         "dataset": "imu_log", "caution": CAUTION, "files": [path.name, solution.name],
         "risk": config.risk.integrity_risk, "rate_hz": log.rate_hz,
+        "doubt": doubt(config.risk.integrity_risk, outages.error_m, outages.pl_m, "outages"),
         "agreement": calibration.pop("agreement"), "calibration": calibration,
         "outages": len(outages.start_s), "left_out_at_gaps": outages.left_out,
         "speed_mps": [float(v) for v in np.quantile(outages.speed_mps, [0.0, 0.5, 1.0])],
@@ -456,12 +501,21 @@ def write_imu_outages(
             axis: asdict(measure_bounding(outages.error_m[..., q], outages.pl_m[..., q]))
             for q, axis in enumerate(("at", "ct"))
         },
-        "stopped": notes((path.name, log.stopped, log.timing), (solution.name, track.stopped, track.timing)),
+        "stopped": notes(
+            (path.name, log.stopped, log.timing), (tag.name, log.tags, UNTIMED),
+            (solution.name, "; ".join(filter(None, (str(track.stopped or ""), _unused(track)))), track.timing),
+        ),
     }  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
     summary = out / "replay.json"
     summary.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return figures, [summary, save(drift_figure(outages, config.risk.integrity_risk), out / "drift.png")]
+
+
+def _unused(track: RtkSolution) -> str:
+    """How many rows are neither fixed nor float, "" for none."""
+    count = int(((track.quality < 1) | (track.quality > WORST_QUALITY)).sum())
+    return f"{count} of {track.quality.size} rows with another Q than 1 (fixed) or 2 (float) are not used" * bool(count)
 
 
 def _solutions(folder: Path) -> list[Path]:

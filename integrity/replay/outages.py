@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.bounding import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_figure, risk_text, save, tidy
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
@@ -26,7 +26,7 @@ from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.comma import Comma, read_comma
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.reckoning import reckon, turned
-from lanebound.integrity.replay.recording_checks import check_comma
+from lanebound.integrity.replay.recording_checks import aligned_comma
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -312,13 +312,13 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
         The folder is not a comma2k19 segment, or the segment is too short.
     """
     config = config or OutageConfig()
-    segment = read_comma(folder)
-    agreement = check_comma(segment)
+    segment, agreement = aligned_comma(read_comma(folder))
     motion, calibration = motion_of(segment, config)
     outages = run_outages(motion, config)
     figures = {
         "dataset": "comma2k19", "caution": CAUTION,
         "risk": config.risk.integrity_risk, "calibration": calibration,
+        "doubt": doubt(config.risk.integrity_risk, outages.error_m, outages.pl_m, "outages"),
         "agreement": {name: found.figures() for name, found in agreement.items()},
         "outages": len(outages.start_s), "left_out_at_gaps": outages.left_out, "stopped": segment.notes,
         "speed_mps": [float(v) for v in np.quantile(outages.speed_mps, [0.0, 0.5, 1.0])], "by_age": by_age(outages),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import ecef_from_geodetic, geodetic_from_ecef
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.baseline import Baseline, date_text
 from lanebound.integrity.replay.code_places import MOVES_M, WRONG_M, CodePlaces, require_gps_time
@@ -84,6 +86,8 @@ def check_places(
     remedy = f"{'correct' if source == given.base else 'give'} {given.base}"
     if theirs is not None and rover_m is not None and _is_at(own, rover_m) and _is_at(theirs, base_m):
         remedy = f"{given.rover} fits them, and that of the base the rover's: exchange the two, or rover and base"
+    elif _is_at(own, _from_radians(base_m)):
+        remedy = f"it is probably given in radians: convert {source} to degrees"
     _require_base(own, base_m, source, remedy)
     if theirs is None or rover_m is None:
         return own.distance_m(base_m), None
@@ -94,6 +98,14 @@ def check_places(
 def _is_at(own: CodePlaces, place_m: Array) -> bool:
     away = own.distance_m(place_m)
     return away is not None and away <= WRONG_M
+
+
+def _from_radians(place_m: Array) -> Array:
+    """Where a place (3,) is, if the degrees that gave it are radians; itself if they cannot be."""
+    latitude, longitude, height = geodetic_from_ecef(place_m)
+    if abs(math.degrees(latitude)) > 0.5 * math.pi:
+        return place_m
+    return np.asarray(ecef_from_geodetic(math.degrees(latitude), math.degrees(longitude), height))
 
 
 def _require_base(own: CodePlaces, place_m: Array, source: str, remedy: str) -> None:

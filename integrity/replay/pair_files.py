@@ -70,6 +70,8 @@ def _of_type(folder: Path, kinds: str) -> list[Path]:
                 if RINEX_NAME.search(path.name):
                     raise  # it says how to unpack it; a file of another name is none of ours
                 continue
+            if not path.stat().st_size and RINEX_NAME.search(path.name):
+                raise InputError(f"{path} must be a RINEX file, is empty: download it again")
             if first[60:80].startswith("CRINEX") and "O" in kinds:
                 raise InputError(f"{path} must be a plain RINEX file: {CRINEX_REMEDY}")
             if first[60:80].strip() == "RINEX VERSION / TYPE" and first[20:21].upper() in tuple(kinds):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +17,20 @@ from lanebound.integrity.recorded.smartloc import SmartLoc
 from lanebound.integrity.replay.sensor_checks import (
     ACCELERATION,
     LAG_S,
+    SLIP_S,
     SPEED,
     YAW_RATE,
     Agreement,
     Quantity,
     likely_unit,
     require_agreement,
+    require_changing,
     require_lag,
     require_same_times,
     require_throughout,
 )
 
-__all__ = ["check_comma", "check_smartloc"]
+__all__ = ["aligned_comma", "check_comma", "check_smartloc"]
 
 Array = NDArray[np.float64]
 
@@ -67,6 +70,7 @@ class _Reference:
         """Agreement of a sensor's series with values (T,) of the reference at the epochs to keep, after its lag; it
         must hold throughout."""
         at = self.time_s[keep]
+        require_changing(quantity, where, time_s, value, at, reference[keep])
         inside = at[(at > time_s[0] + LAG_S) & (at < time_s[-1] - LAG_S)]
         if at.size and not inside.size:
             raise InputError(
@@ -92,6 +96,24 @@ def _means(time_s: Array, value: Array, at_s: Array) -> Callable[[float], Array]
     return mean
 
 
+def aligned_comma(segment: Comma) -> tuple[Comma, dict[str, Agreement]]:
+    """A segment whose speeds, gyro and accelerometer have no lag of SLIP_S and more behind its reference, where the
+    drive shows one, and what :func:`check_comma` finds, which it raises for."""
+    found = check_comma(segment)
+    parts = {
+        "speed": "CAN/speed", "wheel_speed": "CAN/wheel_speed", "rotation_rate": "yaw rate",
+        "acceleration": "forward acceleration",
+    }  # fmt: skip
+    moved: dict[str, Any] = {}
+    for part, name in parts.items():
+        own = {key: of for key, of in found.items() if key.startswith(name) and of.lag_s is not None}
+        lag_s = float(np.mean([of.lag_s for of in own.values()])) if own else 0.0  # wheels have one clock
+        if abs(lag_s) >= SLIP_S:
+            moved[part] = getattr(segment, part).earlier(lag_s)
+            found |= {key: replace(of, corrected=True) for key, of in own.items()}
+    return replace(segment, **moved), found
+
+
 def check_comma(segment: Comma) -> dict[str, Agreement]:
     """How speed, wheels, gyro, accelerometer and receiver of a comma2k19 segment follow its reference, by name.
 
@@ -111,9 +133,12 @@ def check_comma(segment: Comma) -> dict[str, Agreement]:
         return {}
     velocity = np.stack([_means(r.time_s, column, motion.time_s)(0.0) for column in reported.T], -1)
     found = {
-        "reference velocity": require_agreement(
-            SPEED, "m/s", "global_pose/frame_velocities", motion.velocity_mps[clear].ravel(), velocity[clear].ravel(),
-            clear.sum() * EVERY_S,
+        "reference velocity": replace(
+            require_agreement(
+                SPEED, "m/s", "global_pose/frame_velocities", motion.velocity_mps[clear].ravel(),
+                velocity[clear].ravel(), clear.sum() * EVERY_S,
+            ),
+            lag_s=0.0,  # of the same rows
         )
     }  # fmt: skip
     for name, values in (("CAN/speed", segment.speed), ("CAN/wheel_speed", segment.wheel_speed)):

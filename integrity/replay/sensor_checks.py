@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 
 __all__ = [
-    "ACCELERATION", "CLEARLY", "LAG_S", "LEAST_CORRELATION", "PITCH_RATE", "SPEED", "YAW_RATE", "Agreement", "Quantity",
-    "correlation", "likely_unit", "require_agreement", "require_lag", "require_same_times", "require_throughout",
+    "ACCELERATION", "CLEARLY", "LAG_S", "LEAST_CORRELATION", "PITCH_RATE", "SLIP_S", "SPEED", "YAW_RATE", "Agreement",
+    "Quantity", "correlation", "likely_unit", "require_agreement", "require_changing", "require_lag",
+    "require_same_times", "require_throughout",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -35,6 +36,8 @@ NEARER = 3.0  # times nearer are positions whose times are right
 WINDOW_S, WINDOW_STEP_S = 8.0, 2.0
 STILL, STRAIGHT, MOVES = 0.25, 0.05, 0.5  # spread in a window over a strong motion: below, too little to test
 FROZEN = 1e-6  # of a strong motion; beyond rounding, far below the resolution of any sensor
+FROZEN_S = 4.0  # of one value; recorded sensors keep one for 0.5 s at most while the car drives
+SLIP_S = 0.1  # of lags that need no clock: slip grows with the acceleration, which looks like 0.02 to 0.05 s early
 JUMP_S, LONGEST_JUMP_S = 0.25, 0.7  # of a clock inside a drive; a longer one leaves a gap, or no likeness
 SURE_CORRELATION, CLEARLY = 0.7, 0.2  # of a lag that needs no wider search, and by how much another must be better
 
@@ -69,12 +72,13 @@ ACCELERATION = Quantity(
 @dataclass(frozen=True)
 class Agreement:
     """Slope of sensed on reference, their correlation, whether the motion was strong enough to prove anything, and the
-    lag behind the reference at which they were compared [s]."""
+    lag behind the reference [s], None where the drive does not show it, and whether it is taken out of the times."""
 
     slope: float
     correlation: float
     tested: bool
-    lag_s: float = 0.0
+    lag_s: float | None = None
+    corrected: bool = False
 
     def figures(self) -> dict[str, Any]:
         """As JSON data."""
@@ -137,11 +141,11 @@ def likely_unit(quantity: Quantity, unit: str, low: float, high: float) -> str |
 
 def require_lag(
     where: str, reference: Array, sensed: Callable[[float], Array], quantity: Quantity
-) -> tuple[float, Array]:
+) -> tuple[float | None, Array]:
     """Lag of a sensor behind the reference [s] at which they are alike most, of either sign, and its values (N,) there.
 
     reference (N,); ``sensed`` gives values (N,) at the times of the reference plus a lag. Without a motion that shows
-    a lag it is 0.
+    a lag it is None, and the values are those without one.
 
     Raises
     ------
@@ -149,7 +153,7 @@ def require_lag(
         They are more alike beyond the search, or its edge is best: clocks differ; the message names by how much.
     """
     if float(np.std(reference)) < quantity.strong:
-        return 0.0, sensed(0.0)
+        return None, sensed(0.0)
     lags = np.arange(-LAG_S, LAG_S + 0.5 * LAG_STEP_S, LAG_STEP_S)
     near = [abs(correlation(reference, sensed(float(lag)))) for lag in lags]
     best = int(np.argmax(near))
@@ -167,9 +171,36 @@ def require_lag(
     return float(lags[best]), sensed(float(lags[best]))
 
 
+def require_changing(
+    quantity: Quantity, where: str, time_s: Array, value: Array, at_s: Array, reference: Array
+) -> None:  # fmt: skip
+    """Test a raw series (M,) at times (M,) [s] for one value that lasts; reference (N,) at the times (N,) of driving.
+
+    Raises
+    ------
+    InputError
+        It keeps one value for FROZEN_S of the drive in which the reference changes.
+    """
+    ends = np.append(np.flatnonzero(np.abs(np.diff(value)) > FROZEN * quantity.strong), value.size - 1)
+    starts = np.append(0, ends[:-1] + 1)
+    # inertial sensors have noise even on a straight road, which the reference shows by its own; wheels may stand
+    least = (STRAIGHT if quantity.biased else STILL) * quantity.strong
+    step_s = float(np.median(np.diff(at_s))) if at_s.size > 1 else 0.0
+    for k in np.flatnonzero(time_s[ends] - time_s[starts] > FROZEN_S):
+        start, end, one = time_s[starts[k]], time_s[ends[k]], float(value[starts[k]])
+        true = reference[(at_s >= start) & (at_s <= end)]
+        stuck = not quantity.biased and abs(one) < FROZEN and float(true.mean() if true.size else 0.0) > quantity.strong
+        if true.size * step_s > FROZEN_S and (float(np.std(true)) > least or stuck):
+            raise InputError(
+                f"{quantity.name} of {where} must change as the reference does, it keeps one value, {one:.4g}, for "
+                f"{end - start:.1f} s from {start - time_s[0]:.1f} s on: the sensor was frozen, padded or without a "
+                "signal; cut the recording there, or correct the column"
+            )
+
+
 def require_throughout(
     quantity: Quantity, unit: str, where: str, time_s: Array, reference: Array, sensed: Callable[[float], Array],
-    lag_s: float,
+    lag_s: float | None,
 ) -> None:  # fmt: skip
     """Test windows of WINDOW_S of a drive: reference (N,) at times (N,) [s] from its start, both in the unit of the
     quantity; ``sensed`` and lag [s] as of :func:`require_lag`.
@@ -177,10 +208,10 @@ def require_throughout(
     Raises
     ------
     InputError
-        In a window with enough motion a sensor has another sign or unit, one value, or another lag than elsewhere.
+        In a window with enough motion a sensor has another sign or unit, or another lag than elsewhere.
     """
     offsets = np.arange(-LONGEST_JUMP_S, LONGEST_JUMP_S + 0.01, 0.05)
-    values, usual = np.stack([sensed(lag_s + float(offset)) for offset in offsets]), offsets.size // 2
+    values, usual = np.stack([sensed((lag_s or 0.0) + float(offset)) for offset in offsets]), offsets.size // 2
     changes = quantity._replace(biased=True, strong=math.inf)  # noise of the reference alone is no contradiction
     least = 0.75 * WINDOW_S / float(np.median(np.diff(time_s))) if time_s.size > 1 else math.inf
     for start in np.arange(time_s[0], time_s[-1] - 0.5 * WINDOW_S, WINDOW_STEP_S) if time_s.size else ():
@@ -190,12 +221,6 @@ def require_throughout(
             continue
         there = f"{where} between {start:.0f} and {start + WINDOW_S:.0f} s"
         spread = float(np.std(true)) / quantity.strong
-        # inertial sensors have noise even on a straight road, which the reference shows by its own
-        if np.ptp(felt[usual]) < FROZEN * quantity.strong and spread > (STRAIGHT if quantity.biased else STILL):
-            raise InputError(
-                f"{quantity.name} of {there} must change as the reference does, it keeps one value: the sensor was "
-                "frozen or padded; cut the recording there"
-            )
         if not quantity.biased and float(np.mean(true)) > quantity.strong:
             require_agreement(quantity, unit, there, true, felt[usual], WINDOW_S)
         if spread < MOVES:  # neither sign nor lag shows
@@ -203,7 +228,8 @@ def require_throughout(
         require_agreement(changes, unit, there, true, felt[usual], WINDOW_S)
         if quantity.name == ACCELERATION.name:  # slopes of the road shift it
             continue
-        off = np.std(felt - true, axis=1)
+        # what each leaves of the reference, whatever its scale, which would look like another time
+        off = np.sqrt([max(1.0 - max(correlation(true, row), 0.0) ** 2, FROZEN) for row in felt])
         best = int(np.argmin(off))
         if abs(offsets[best]) >= JUMP_S and off[usual] > NEARER * off[best]:
             raise InputError(

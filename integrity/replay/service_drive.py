@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.bounding import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.assessment.record import AXES, Record
 from lanebound.integrity.assessment.series import series_figure
@@ -494,6 +494,8 @@ def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
     }
     level = np.isfinite(record.pl("at") + record.pl("ct"))
     if level.any():  # without one there is nothing to exceed
+        error, pl = record.by_epoch()
+        figures["doubt"] = doubt(drive.config.risk.integrity_risk, error[level], pl[level], "epochs")
         figures |= {axis: asdict(measure_bounding(record.error(axis)[level], record.pl(axis)[level])) for axis in AXES}
     return found | figures
 

@@ -182,7 +182,7 @@ def read_static_log(path: Path) -> tuple[Array, dict[str, Array], str]:
         table = np.array(rows[1:], dtype=np.float64)
     except ValueError:
         raise InputError(f"{path} must hold numbers below its head, it does not: correct the lines") from None
-    keep, timing = in_order(path, table[:, 0])
+    keep, timing = in_order(path, table[:, 0], rows=table)
     table = table[keep]
     step = float(np.median(np.diff(table[:, 0])))
     if step > LONGEST_STEP_S and float(np.ptp(table[:, 0])) > LONGEST_LOG_S:

@@ -163,7 +163,9 @@ def _in_old_form(lines: list[str], others: Counter[str]) -> list[str]:
 def _after_header(lines: list[str], start: int, source: str) -> int:
     """Index of the first line after the header of a navigation file that begins at index ``start``."""
     where = f"navigation file {source}, line {start + 1}"
-    first = lines[start] if lines else ""
+    if not any(lines):
+        raise InputError(f"navigation file {source} must hold navigation messages, is empty: download it again")
+    first = lines[start]
     if first[60:80].strip() != FIRST_LABEL:
         raise InputError(f"{where}: the label 'RINEX VERSION / TYPE' must start in column 61, got {first[:80]!r}")
     version, kind = first[:9].strip(), first[20:21].upper()

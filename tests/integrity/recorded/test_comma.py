@@ -77,7 +77,15 @@ def test_missing_parts_and_disorder_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="frame_times"):
         read_comma(tmp_path)
     np.save(comma_folder(tmp_path) / "global_pose/frame_times.npy", np.zeros(8))
-    with pytest.raises(InputError, match="7 of 8 rows go back, row 2 by"):
+    with pytest.raises(InputError, match="7 of 8 rows repeat a time with other values, row 2"):
+        read_comma(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["IMU/gyro/value", "CAN/speed/t", "global_pose/frame_velocities"])
+def test_arrays_of_unequal_length_are_refused_with_both(tmp_path: Path, name: str) -> None:
+    path = comma_folder(tmp_path) / f"{name}.npy"
+    np.save(path, np.load(path)[:-2])
+    with pytest.raises(InputError, match=r"must have as many rows as each other, got (8 and 6|6 and 8): one .* is cut"):
         read_comma(tmp_path)
 
 

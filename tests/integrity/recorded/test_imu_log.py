@@ -111,6 +111,28 @@ def test_tags_that_go_on_after_the_end_of_a_cut_log_do_not_bend_its_clock(tmp_pa
     np.testing.assert_allclose(read_imu_log(path).gps_time_s, whole.gps_time_s[:400], atol=1e-3)
 
 
+def test_a_mark_of_utf_8_changes_nothing(tmp_path: Path) -> None:
+    path = _write(tmp_path)
+    whole = read_imu_log(path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    marked = read_imu_log(path)
+    np.testing.assert_array_equal(marked.gps_time_s, whole.gps_time_s)
+    np.testing.assert_array_equal(marked.rate_radps, whole.rate_radps)
+
+
+def test_numbers_of_another_width_and_decimal_commas_are_named(tmp_path: Path) -> None:
+    path = _write(tmp_path, cut=False)
+    rows = path.read_text().splitlines()
+    path.write_text("".join(",".join([f"{float(v):.3f}" for v in row.split(",")]) + "\n" for row in rows))
+    with pytest.raises(
+        InputError, match=r"Tags count the bytes of the log, \d+ where it has \d+: write changed numbers"
+    ):
+        read_imu_log(path)
+    path.write_text("".join(row.replace(",", ";").replace(".", ",") + "\n" for row in rows))
+    with pytest.raises(InputError, match=r"specific force x must be a number, got '-?\d,\d+': write decimal points"):
+        read_imu_log(path)
+
+
 @pytest.mark.parametrize(("clock", "message"), [
     (lambda ms: ms * 1000, r"got a factor of 0\.001.*it is probably in us, not in ms"),
     (lambda ms: ms / 1000, r"got a factor of 1\d\d\d.*it is probably in s, not in ms"),

@@ -70,7 +70,13 @@ def test_names_vertices_and_what_is_left_out(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "must be GeoJSON, is no JSON"),
+        ("{", "must be GeoJSON, is no JSON"),
+        (" \n", "must be GeoJSON, is empty"),
+        ("<?xml version='1.0'?><osm/>", "is XML: convert an .osm file with osmtogeojson"),
+        (
+            json.dumps({"type": "FeatureCollection", "features": [line([[391000.0, 5819000.0], PLACES[0]])]}),
+            "as of UTM",
+        ),
         ("[1, 2]", "must hold a FeatureCollection, got list"),
         ('{"type": "Feature"}', "got type 'Feature'"),
         (json.dumps({"type": "FeatureCollection", "features": []}), "must hold a LineString that cars drive on, has 0"),
@@ -104,6 +110,19 @@ def test_single_bad_ways_and_limits_are_left_out_and_counted(tmp_path) -> None:
         slow = read_roads(collection(tmp_path / "map.geojson", line(PLACES, maxspeed=limit)))
         assert slow.lines[0].limit_mps == pytest.approx(50 / 3.6)
         assert slow.limits == 1
+
+
+def test_speed_limits_that_no_road_has_are_counted_and_many_refused(tmp_path) -> None:
+    good = [line(PLACES, maxspeed=word) for word in ("walk", "none", "signals", "variable", "DE:zone:30", "IT:urban")]
+    assert read_roads(collection(tmp_path / "map.geojson", *good)).note == ""
+    one = read_roads(collection(tmp_path / "map.geojson", *good, line(PLACES, maxspeed="fast")))
+    assert one.note.endswith("feature 6: maxspeed 'fast'")
+    assert "1 speed limits taken as 50 km/h, the first" in one.note
+    bad = [line(PLACES, maxspeed=limit) for limit in ("-50", "500")]
+    with pytest.raises(
+        InputError, match=r"feature 6: maxspeed '-50' must be .* up to 360, .* \(2 of 8 ways have others\)"
+    ):
+        read_roads(collection(tmp_path / "map.geojson", *good, *bad))
 
 
 def test_a_map_with_a_byte_order_mark(tmp_path) -> None:

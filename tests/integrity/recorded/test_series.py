@@ -34,6 +34,21 @@ def test_rows_that_go_back_or_repeat_are_left_out_and_counted() -> None:
     assert (np.diff(joined[keep]) > 0.0).all()
 
 
+def test_rows_that_are_there_twice_are_left_out_however_many_and_others_of_their_time_are_not() -> None:
+    rows = np.stack([TIME, np.sin(TIME), np.full(1000, np.nan)], -1)
+    for twice in (np.repeat(rows, 2, axis=0), np.concatenate([rows, rows])):
+        keep, timing = in_order("log", twice[:, 0], rows=twice)
+        np.testing.assert_array_equal(twice[keep], rows)
+        assert timing.note == "1000 of 2000 rows left out that repeat another"
+    coarse = np.floor(TIME)
+    with pytest.raises(
+        InputError, match=r"990 of 1000 rows repeat a time with other values, row 2 first: .* more digits"
+    ):
+        in_order("log", coarse, rows=np.stack([coarse, TIME], -1))
+    with pytest.raises(InputError, match="999 of 1000 rows go back"):
+        in_order("log", TIME[::-1], rows=rows[::-1])
+
+
 def test_rows_of_one_epoch_are_kept() -> None:
     times = np.repeat([0.0, 0.2, 0.4, 0.2, 0.6, 0.8], [5, 5, 5, 1, 5, 5])
     keep, timing = in_order("codes", times, repeated=True)

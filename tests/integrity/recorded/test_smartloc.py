@@ -81,7 +81,7 @@ def test_signals_that_go_back_in_time_are_left_out_and_counted(tmp_path: Path) -
     raw = read_smartloc_raw(written(tmp_path, text))
     assert raw.tow_s.size == len(rows) + 30
     assert (np.diff(raw.tow_s) >= 0.0).all()
-    assert raw.timing.note == "1 of 34 rows left out that are not later than one before"
+    assert raw.timing.note == "1 of 34 rows left out that repeat another"
 
 
 def test_raw_damage_is_named_and_a_cut_told(tmp_path: Path) -> None:

@@ -152,6 +152,39 @@ def test_the_command_s_results_and_lines_that_end_in_two_characters(tmp_path: Pa
         replay_folder(tmp_path, out)
 
 
+def test_solutions_in_radians_without_usable_rows_or_with_vu_reversed_are_named(folder: Path, tmp_path: Path) -> None:
+    log, track = _read(folder)
+    text = (folder / "gnss_1834.pos").read_text().splitlines()
+    rows = [line.split() for line in text[1:]]
+    radians = [" ".join([*w[:2], *(f"{np.radians(float(v)):.9f}" for v in w[2:4]), *w[4:]]) for w in rows]
+    path = tmp_path / "radians.pos"
+    path.write_text("\n".join([text[0], *radians, ""]))
+    with pytest.raises(InputError, match=r"must be in degrees, got 0\.6998, -1\.8352, which fit its velocities as rad"):
+        motion_of_log(log, read_rtk_solution(path), ImuOutageConfig())
+    single = replace(track, quality=np.full_like(track.quality, 5))
+    with pytest.raises(InputError, match=r"rows of Q 1 \(fixed\) or 2 \(float\), its 720 rows have Q 5: process it by"):
+        motion_of_log(log, single, ImuOutageConfig())
+    down = replace(track, velocity_neu_mps=track.velocity_neu_mps * [1.0, 1.0, -1.0])
+    with pytest.raises(
+        InputError, match=r"pitch rate of the log, or vu of the solution, must .*: its sign is reversed"
+    ):
+        motion_of_log(log, down, ImuOutageConfig())
+
+
+def test_rows_that_are_not_used_and_time_tags_that_end_early_are_noted(tmp_path: Path) -> None:
+    _write(tmp_path)
+    solution, tag = tmp_path / "gnss_1834.pos", tmp_path / "imu_1834.csv.tag"
+    lines = solution.read_text().splitlines()
+    single = [line.replace(" 1 21 ", " 5 21 ") for line in lines[-20:]]
+    solution.write_text("\n".join([*lines[:-20], *single, ""]))
+    tag.write_bytes(tag.read_bytes()[:-403])
+    found, _ = replay_folder(tmp_path, tmp_path / "out")
+    assert found["stopped"] == {
+        "imu_1834.csv.tag": "time tags end 5.1 s before the log, whose later times are those of its own clock",
+        "gnss_1834.pos": "20 of 720 rows with another Q than 1 (fixed) or 2 (float) are not used",
+    }
+
+
 def test_old_velocities_are_not_used(folder: Path, tmp_path: Path) -> None:
     """Where a solution repeats a velocity while the car goes on, its epochs are no reference."""
     log, track = _read(folder)
@@ -193,7 +226,10 @@ def test_a_gap_of_the_solution_counts_and_one_of_the_log_in_the_calibration_is_r
     (lambda f, w: (f, np.radians(w)), r"yaw rate of the log .* slope on it is 0\.017.* correlation 1.*in rad/s, not"),
     (lambda f, w: (f, w * [1, 1, -1]), r"yaw rate of the log .* slope on it is -\d.*: its sign is reversed"),
     (lambda f, w: (f, w[:, [2, 0, 1]]), "another axis"),
-    (lambda f, w: (f, w * [1, 1, 0]), "rate z of the log must change, all 12000 rows have one value"),
+    (lambda f, w: (f, w * [1, 1, 0]), "rate z of the log must change .* it keeps one value, 0, for 120"),
+    (lambda f, w: (f, np.where(np.arange(len(w))[:, None] // 2000 == 2, w[4000], w)), r"rate x .* for 20\.. s"),
+    (lambda f, w: (np.where(np.arange(len(f))[:, None] // 2000 == 2, f[4000], f), w), r"force x .* for 20\.. s"),
+    (lambda f, w: (f, w[:, [1, 0, 2]]), "rate x and rate y of the log .* exchanged .* rises .* exchange the columns"),
     (lambda f, w: (f, w * [1, -1, 1]), "with one axis of the gyro or the accelerometer mirrored"),
     (lambda f, w: (f * [-1, -1, 1], w), "with one axis of the gyro or the accelerometer mirrored"),
     (lambda f, w: (f * G_MPS2, w), r"mean force of 96.* it is probably in m/s\^2, not in g"),

@@ -14,8 +14,9 @@ from typer.testing import CliRunner, Result
 
 from lanebound.agents.cli import app
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import geodetic_from_ecef
 from lanebound.integrity.recorded.rinex_observation import read_observations
-from lanebound.integrity.replay.baseline_report import run_baseline
+from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 from lanebound.integrity.replay.datasets import replay_folder
 from lanebound.integrity.replay.pair_checks import navigation_notes, require_two_receivers
 from lanebound.integrity.sky.broadcast import parse_navigation
@@ -74,6 +75,33 @@ def test_times_in_another_scale_are_refused_and_the_scale_named(
         InputError, match=rf"times of the {which} must be GPS time, .* times \{behind_s:+g} s later: .*{scale}"
     ):
         run_baseline(files["rover"], files["base"], [folder / "base.nav"], tmp_path / "out", base_ecef_m=PLACE)
+
+
+@pytest.mark.parametrize("which", ["rover", "base"])
+def test_codes_and_phases_exchanged_are_named(folder: Path, tmp_path: Path, which: str) -> None:
+    text = (folder / f"{which}.obs").read_text()
+    assert "C1C L1C" in text
+    files = {name: folder / f"{name}.obs" for name in ("rover", "base")} | {which: tmp_path / "exchanged.obs"}
+    files[which].write_text(text.replace("C1C L1C", "L1C C1C"))
+    with pytest.raises(InputError, match=rf"codes of the {which} must be distances .* columns of codes and phases"):
+        run_baseline(files["rover"], files["base"], [folder / "base.nav"], tmp_path, base_ecef_m=PLACE)
+
+
+def test_a_base_in_radians_and_empty_files_are_named(folder: Path, tmp_path: Path) -> None:
+    latitude, longitude, height = geodetic_from_ecef(PLACE)
+    radians = read_coordinates(f"{latitude:.9f},{longitude:.9f},{height:.3f}")
+    with pytest.raises(
+        InputError, match=r"every position would be wrong .* probably given in radians: convert --base-p"
+    ):
+        solve(folder, tmp_path, base_ecef_m=radians)
+    empty = tmp_path / "empty.obs"
+    empty.touch()
+    with pytest.raises(InputError, match=r"empty\.obs must hold observations, is empty: download it again"):
+        run_baseline(empty, folder / "base.obs", [folder / "base.nav"], tmp_path)
+    with pytest.raises(InputError, match=r"empty\.obs must hold navigation messages, is empty: download it again"):
+        run_baseline(folder / "rover.obs", folder / "base.obs", [empty], tmp_path)
+    with pytest.raises(InputError, match=r"empty\.obs must be a RINEX file, is empty: download it again"):
+        replay_folder(tmp_path, tmp_path / "out")
 
 
 def test_a_true_position_of_a_rover_that_moves_is_refused(folder: Path, tmp_path: Path) -> None:

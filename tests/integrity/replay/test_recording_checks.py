@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from lanebound.integrity.recorded.comma import Comma, ReceiverFixes, Reference, 
 from lanebound.integrity.recorded.series import in_order
 from lanebound.integrity.recorded.smartloc import GroundTruth, Odometry, SmartLoc, read_smartloc
 from lanebound.integrity.replay.outages import OutageConfig, motion_of, run_outages, write_outages
-from lanebound.integrity.replay.recording_checks import check_comma, check_smartloc
+from lanebound.integrity.replay.recording_checks import aligned_comma, check_comma, check_smartloc
 
 HOME = ecef_from_geodetic(np.radians(52.5), np.radians(13.37), 80.0)
 AXES = ecef_from_enu_matrix(np.radians(52.5), np.radians(13.37))
@@ -73,7 +74,9 @@ def test_sane_sensors_agree_with_slopes_near_one() -> None:
     ("speed", lambda v: 0.0 * v, "without a signal"),
     ("rotation_rate", np.degrees, "yaw rate of IMU/gyro .*probably in deg/s, not in rad/s"),
     ("rotation_rate", lambda v: -v, "its sign is reversed"),
-    ("rotation_rate", lambda v: v[:, [2, 1, 0]], "another axis"),
+    ("rotation_rate", lambda v: v[:, [2, 1, 0]], "yaw rate of IMU/gyro must change .* keeps one value, 0, for"),
+    ("wheel_speed", lambda v: np.where(np.arange(len(v))[:, None] // 960 == 2, 0.0, v), "wheel_speed .* one value, 0,"),
+    ("wheel_speed", lambda v: np.where(np.arange(len(v))[:, None] // 960 == 2, 9.0, v), "wheel_speed .* one value, 9,"),
     ("acceleration", lambda v: v / 9.80665, "feel gravity in m/s.2, its mean is 1: it is probably in g"),
     ("acceleration", lambda v: v * [1.0, -1.0, -1.0], "axes forward, right, down"),
     ("acceleration", lambda v: v * [-1.0, 1.0, 1.0], "acceleration of IMU/accelerometer .*its sign is reversed"),
@@ -133,7 +136,7 @@ def test_a_reference_in_kilometres_and_a_gyro_that_is_always_0_are_named() -> No
     sane = segment()
     with pytest.raises(InputError, match=r"global_pose/frame_positions must be ECEF positions in m, .*, got 63\d\d"):
         check_comma(changed(sane, "reference", position_ecef_m=1e-3 * sane.reference.position_ecef_m))
-    with pytest.raises(InputError, match="a sensor without a signal"):
+    with pytest.raises(InputError, match=r"keeps one value, 0, for 60\.0 s .* without a signal"):
         check_comma(changed(sane, "rotation_rate", value=0.0 * sane.rotation_rate.value))
 
 
@@ -142,6 +145,31 @@ def test_a_sensor_that_is_a_second_late_is_refused() -> None:
     for name in ("speed", "rotation_rate"):
         with pytest.raises(InputError, match=r"clocks of .* must agree within 0.5 s, .*\+1\.\d+ s later"):
             check_comma(changed(sane, name, time_s=getattr(sane, name).time_s + 1.0))
+
+
+def test_a_lag_that_the_drive_shows_is_taken_out_and_one_that_it_does_not_is_not_tested() -> None:
+    sane = segment()
+    late = changed(changed(sane, "speed", time_s=sane.speed.time_s + 0.3), "rotation_rate",
+                   time_s=sane.rotation_rate.time_s - 0.2)  # fmt: skip
+    aligned, found = aligned_comma(late)
+    assert (found["CAN/speed 0"].lag_s, found["yaw rate"].lag_s) == pytest.approx((0.3, -0.2), abs=0.02)
+    assert found["yaw rate"].corrected
+    for name in ("speed", "rotation_rate"):
+        np.testing.assert_allclose(getattr(aligned, name).time_s, getattr(sane, name).time_s, atol=0.02)
+    slipping, found = aligned_comma(changed(sane, "speed", time_s=sane.speed.time_s - 0.05))
+    assert found["CAN/speed 0"].lag_s == pytest.approx(-0.05, abs=0.011)
+    np.testing.assert_array_equal(slipping.speed.time_s, sane.speed.time_s - 0.05)
+    turn = sane.rotation_rate.value * [1.0, 1.0, 0.0] + np.random.default_rng(3).normal(0.0, 1e-3, (6000, 3))
+    place = HOME + (sane.speed.time_s[::4, None] * [[0.0, 11.0, 0.0]]) @ AXES.T
+    straight = changed(
+        changed(sane, "rotation_rate", value=turn), "reference", position_ecef_m=place,
+        velocity_ecef_mps=np.tile([0.0, 11.0, 0.0], (1200, 1)) @ AXES.T,
+    )  # fmt: skip
+    still = np.random.default_rng(3).normal(11.0, 0.01, 4800)
+    straight = changed(changed(straight, "speed", value=still), "wheel_speed", value=np.tile(still[:, None], 4))
+    aligned, found = aligned_comma(replace(straight, fixes=None))
+    assert found["yaw rate"].lag_s is found["CAN/speed 0"].lag_s is None
+    assert aligned.speed is straight.speed
 
 
 def _saved(folder: Path, s: Comma) -> Path:
@@ -173,6 +201,22 @@ def test_outages_at_a_gap_are_left_out_and_counted(tmp_path: Path) -> None:
     assert [found["all_ages"][axis]["exceeded"] for axis in ("at", "ct")] == [0, 0]
     with pytest.raises(InputError, match=r"first 35 s must be without gaps, 1 gap, the longest of 6.03 s"):
         write_outages(tmp_path / "holed", tmp_path / "out", config.replace(calibration_s=35.0))
+
+
+@pytest.mark.parametrize(("name", "wrong"), [
+    ("rotation_rate", lambda s: s.value + np.where(s.time_s > 25.0, np.radians(2.0), 0.0)[:, None]),
+    ("speed", lambda s: s.value * np.where(s.time_s > 25.0, 1.2, 1.0)),
+])  # fmt: skip
+def test_errors_far_beyond_the_declared_ones_are_doubted(tmp_path: Path, name: str, wrong) -> None:
+    sane, config = segment(), OutageConfig(longest_s=10.0)
+    found, _ = write_outages(_saved(tmp_path / "sane", sane), tmp_path / "out", config)
+    assert found["doubt"] is None
+    series = getattr(sane, name)
+    bad = changed(sane, name, value=wrong(series))
+    found, _ = write_outages(_saved(tmp_path / "bad", bad), tmp_path / "out", config)
+    assert re.match(
+        r"errors exceed their levels in \d\d of \d\d outages, at a risk of 0\.001: the recording", found["doubt"]
+    )
 
 
 def test_a_jump_of_half_a_second_is_told_and_a_clock_that_is_set_back_refused(tmp_path: Path) -> None:
@@ -223,7 +267,5 @@ def test_rows_of_a_drive_that_go_back_are_counted(tmp_path: Path) -> None:
     path.write_text("\r\n".join([*lines[:30], *lines[36:], *codes, ""]))
     found = read_smartloc(path)
     assert found.odometry.time_s.size == 34
-    assert found.notes == {
-        "odom3": "1 of 35 rows left out that are not later than one before; 1 gap, the longest of 1.40 s"
-    }
+    assert found.notes == {"odom3": "1 of 35 rows left out that repeat another; 1 gap, the longest of 1.40 s"}
     assert found.bridged(np.array([5.5, 6.5]), after_s=0.1).tolist() == [False, True]

@@ -12,6 +12,7 @@ from lanebound.integrity.replay.sensor_checks import (
     YAW_RATE,
     Quantity,
     require_agreement,
+    require_changing,
     require_lag,
     require_same_times,
     require_throughout,
@@ -108,7 +109,7 @@ def test_a_lag_beyond_the_search_is_refused_and_named(lag_s: float) -> None:
 
 
 def test_without_motion_there_is_no_lag() -> None:
-    assert require_lag("log", 0.0 * TURNS, shifted(5.0), YAW_RATE)[0] == 0.0
+    assert require_lag("log", 0.0 * TURNS, shifted(5.0), YAW_RATE)[0] is None
 
 
 @pytest.mark.parametrize("late_s", [18.0, -18.0, 1.0])
@@ -125,9 +126,7 @@ def test_positions_whose_times_are_off_are_refused_and_those_of_a_car_at_rest_ar
 @pytest.mark.parametrize(("quantity", "truth", "change", "message"), [
     (YAW_RATE, TURNS, lambda v: -v, "yaw rate of log between 30 and 38 s .* its sign is reversed"),
     (YAW_RATE, TURNS, np.radians, "probably in rad/s, not in deg/s"),
-    (YAW_RATE, 0.0 * TURNS, lambda v: 0.0 * v + 0.01, "between 30 and 38 s .* keeps one value"),
     (ACCELERATION, 20.0 * TURNS, lambda v: 9.80665 * v, r"acceleration of log between 2. .* probably in m/s\^2, not"),
-    (SPEED, SPEEDS, lambda v: 0.0 * v + 12.0, "speed of log between 30 and 38 s .* keeps one value"),
     (SPEED, SPEEDS, lambda v: 3.6 * v, "probably in km/h"),
 ])  # fmt: skip
 def test_a_part_of_a_drive_that_contradicts_is_refused_with_its_time(
@@ -139,6 +138,33 @@ def test_a_part_of_a_drive_that_contradicts_is_refused_with_its_time(
     require_throughout(quantity, unit, "log", TIME, reference, lambda lag: np.interp(TIME + lag, TIME, sane), 0.0)
     with pytest.raises(InputError, match=message):
         require_throughout(quantity, unit, "log", TIME, reference, lambda lag: np.interp(TIME + lag, TIME, part), 0.0)
+
+
+@pytest.mark.parametrize(("quantity", "truth", "one"), [
+    (YAW_RATE, 0.0 * TURNS, 0.01), (ACCELERATION, 20.0 * TURNS, 0.3), (SPEED, SPEEDS, 12.0),
+    (SPEED, 0.0 * SPEEDS + 9.0, 0.0),
+])  # fmt: skip
+def test_a_sensor_that_keeps_one_value_while_the_car_drives_is_refused(
+    quantity: Quantity, truth: np.ndarray, one: float
+) -> None:
+    reference, sane = noisy(truth, 0.1 * quantity.strong), noisy(truth, 0.02 * quantity.strong, 2)
+    part = np.where((TIME >= 30.0) & (TIME < 36.0), one, sane)
+    require_changing(quantity, "log", TIME, sane, TIME, reference)
+    with pytest.raises(InputError, match=rf"{quantity.name} of log .* one value, {one:g}, for 5\.9 s from 30\.0 s on"):
+        require_changing(quantity, "log", TIME, part, TIME, reference)
+
+
+def test_wheels_that_stand_with_the_car_are_right() -> None:
+    standing = np.where((TIME > 20.0) & (TIME < 40.0), 0.0, SPEEDS)
+    require_changing(SPEED, "log", TIME, standing, TIME, noisy(standing, 0.1))
+    rest = standing == 0.0
+    require_changing(YAW_RATE, "log", TIME, np.where(rest, 0.0, noisy(TURNS, 0.01)), TIME[~rest], TURNS[~rest])
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.25])
+def test_a_wrong_scale_is_no_other_time(scale: float) -> None:
+    sensed = scale * SPEEDS
+    require_throughout(SPEED, "m/s", "log", TIME, SPEEDS, lambda lag: np.interp(TIME + lag, TIME, sensed), 0.0)
 
 
 def test_a_clock_that_jumps_inside_a_drive_is_refused() -> None:
