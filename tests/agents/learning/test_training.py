@@ -100,7 +100,9 @@ def test_the_engine_and_single_environments_judge_alike(tmp_path: Path) -> None:
     assert for_judging(engine.replace(engine=False), 3).num_envs == 1
     assert for_judging(engine.replace(overrides={**overrides, "faults": "nominal"}), 3).num_envs == 1
     assert evaluate(engine, model) == pytest.approx(evaluate(engine.replace(engine=False), model), rel=1e-5)
-    with pytest.raises(ConfigError, match="engine must be left out here, got true: faults must be 'none' in the vector"):
+    with pytest.raises(
+        ConfigError, match="engine must be left out here, got true: faults must be 'none' in the vector"
+    ):
         for_judging(engine.replace(overrides={"faults": "nominal"}, engine=True), 3)
 
 
