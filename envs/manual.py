@@ -141,7 +141,8 @@ environments (`vectorization_mode="sync"` or `"async"`). Options that the engine
 message.
 [Training](training.md#many-environments-at-once) describes reset modes and Stable-Baselines3.
 
-Given the same poses of all vehicles, observations, rewards, costs and infos have equal bits. The compiled dynamics
+Given the same poses of all vehicles, observations, rewards, costs and infos have equal bits (the term `base` of
+Racetrack agrees within 1e-12). The compiled dynamics
 round otherwise than highway-env's: poses agree within 1e-9 and all decisions exactly. In three cases rounding grows,
 and the rest of the episode differs:
 

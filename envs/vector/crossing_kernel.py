@@ -179,8 +179,6 @@ def follows(v, drivers, lanes, c, i, j):  # type: ignore[no-untyped-def]
 
     Not one that comes towards it on the approach of the arm into which it leaves, nor a driver whose way crosses.
     """
-    if c.parts.shape[0] == 0:
-        return True
     own, other = v.lane[i], v.lane[j]
     if c.parts[own].kind == EXIT and c.parts[other].kind == APPROACH:
         for k in range(lanes.table[own].joint_onward, lanes.table[own].joint_last):
@@ -195,7 +193,7 @@ def follows(v, drivers, lanes, c, i, j):  # type: ignore[no-untyped-def]
 @jit(borrows=True)
 def stop_at_line(v, drivers, lanes, c, i):  # type: ignore[no-untyped-def]
     """The acceleration with which driver i stops before the crossing where it may not enter, inf where it may."""
-    if c.parts.shape[0] == 0 or drivers[i].may_enter != 0:
+    if drivers[i].may_enter != 0:
         return math.inf
     line = _to_line(v, lanes, c, i)
     if line <= 0.0:

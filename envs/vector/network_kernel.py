@@ -225,17 +225,19 @@ def _sign(number):  # type: ignore[no-untyped-def]
 def _accelerate(v, drivers, lanes, crossing, places, i, idm):  # type: ignore[no-untyped-def]
     """A driver's acceleration, by the vehicle ahead in its lane and in the one that it changes to."""
     a = _behind(v, drivers, lanes, crossing, places, v.lane[i], i, idm)
-    a = min(a, _bend(v, lanes, places, i, idm), idm.most_mps2, stop_at_line(v, drivers, lanes, crossing, i))
+    a = min(a, _bend(v, lanes, places, i, idm), idm.most_mps2)
+    if crossing.parts.shape[0] > 0:
+        a = min(a, stop_at_line(v, drivers, lanes, crossing, i))
     if v.lane[i] != v.target[i]:
         a = min(a, _behind(v, drivers, lanes, crossing, places, v.target[i], i, idm))
     v.acceleration[i] = min(max(a, -ACC_MOST), ACC_MOST)
 
 
-@jit(borrows=True)
+@jit(inline=True)
 def _behind(v, drivers, lanes, crossing, places, lane, i, idm):  # type: ignore[no-untyped-def]
     """IDM's acceleration of driver i behind the vehicle ahead of it on a lane."""
     front, _ = _neighbours(v, lanes, places, lane, i, idm.joined)
-    if front >= 0 and not follows(v, drivers, lanes, crossing, i, front):
+    if front >= 0 and crossing.parts.shape[0] > 0 and not follows(v, drivers, lanes, crossing, i, front):
         front = -1
     return _follow(v, lanes, places, i, front, v.delta[i], idm)
 

@@ -224,7 +224,7 @@ def read_coordinates(text: str) -> Array:
     """
     words = text.replace(",", " ").split()
     if len(words) != 3 and Path(text).is_file():
-        words = Path(text).read_text(encoding="utf-8", errors="replace")[:1000].replace(",", " ").split()
+        words = Path(text).read_text(encoding="utf-8-sig", errors="replace")[:1000].replace(",", " ").split()
     try:
         values = [finite_number(word, -1e8, 1e8) for word in words]
     except ValueError as error:

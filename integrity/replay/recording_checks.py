@@ -28,6 +28,7 @@ from lanebound.integrity.replay.sensor_checks import (
     require_lag,
     require_same_times,
     require_throughout,
+    scale_change,
 )
 
 __all__ = ["aligned_comma", "check_comma", "check_smartloc"]
@@ -79,9 +80,19 @@ class _Reference:
             )
         wanted = reference[np.isin(self.time_s, inside)]
         means = _means(time_s, value, inside)
-        lag, sensed = require_lag(where, wanted, means, quantity)
-        found = require_agreement(quantity, unit, where, wanted, sensed, inside.size * EVERY_S)
-        require_throughout(quantity, unit, where, inside - self.time_s[:1], wanted, means, lag)
+        since_s = inside - self.time_s[:1]
+        try:
+            lag, sensed = require_lag(where, wanted, means, quantity)
+            found = require_agreement(quantity, unit, where, wanted, sensed, inside.size * EVERY_S)
+            require_throughout(quantity, unit, where, since_s, wanted, means, lag)
+        except InputError:
+            changes = None if quantity.biased else scale_change(quantity, since_s, wanted, means)
+            if changes is None:
+                raise
+            raise InputError(  # another scale in a part looks like another time
+                f"scale of {where} must be the same in the whole drive, is {changes}: cut the recording there, or "
+                "correct the column"
+            ) from None
         return replace(found, lag_s=lag)
 
 

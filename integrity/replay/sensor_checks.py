@@ -21,7 +21,7 @@ from lanebound.integrity.core.errors import InputError
 __all__ = [
     "ACCELERATION", "CLEARLY", "LAG_S", "LEAST_CORRELATION", "PITCH_RATE", "SLIP_S", "SPEED", "YAW_RATE", "Agreement",
     "Quantity", "correlation", "likely_unit", "require_agreement", "require_changing", "require_lag",
-    "require_same_times", "require_throughout",
+    "require_same_times", "require_throughout", "scale_change",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -236,6 +236,29 @@ def require_throughout(
                 f"clocks of {there} and of the reference must keep their difference, the {quantity.name} comes "
                 f"{offsets[best]:+.2f} s later than in the whole drive: one of them jumped; cut the recording there"
             )
+
+
+def scale_change(quantity: Quantity, time_s: Array, reference: Array, sensed: Callable[[float], Array]) -> str | None:
+    """Words where the scale of a sensor without a bias changes by more than LIKE, and less than a unit would, between
+    windows of WINDOW_S in which the car moves, at every lag; else None. Arguments as of :func:`require_throughout`."""
+    starts = np.arange(time_s[0], time_s[-1] - WINDOW_S, WINDOW_STEP_S) if time_s.size else np.zeros(0)
+    parts = [slice(*np.searchsorted(time_s, [start, start + WINDOW_S])) for start in starts]
+    driven = [k for k, part in enumerate(parts) if reference[part].size and reference[part].min() > quantity.strong]
+    if not driven:
+        return None
+
+    def scales(lag_s: float) -> Array:
+        value = sensed(lag_s)
+        return np.array([value[parts[k]].mean() / reference[parts[k]].mean() for k in driven])
+
+    # of another clock the scale is the same at its lag
+    at_lags = [scales(float(lag)) for lag in np.arange(-LONGEST_LAG_S, LONGEST_LAG_S + 0.05, 0.1)]
+    now = scales(0.0)
+    steady = any(np.ptp(found) < LIKE * np.abs(found).min() for found in at_lags)
+    if steady or now.max() > now.min() * SLOPES[1] / SLOPES[0]:
+        return None
+    ends = (driven[int(np.argmin(now))], now.min()), (driven[int(np.argmax(now))], now.max())
+    return " and ".join(f"{of:.2f} between {starts[k]:.0f} and {starts[k] + WINDOW_S:.0f} s" for k, of in ends)
 
 
 def require_same_times(where: str, time_s: Array, place_m: Array, true_s: Array, true_m: Array) -> None:

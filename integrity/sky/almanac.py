@@ -6,6 +6,7 @@ A truncated file gives the satellites before the truncation and the place of it.
 from __future__ import annotations
 
 import re
+from codecs import BOM_UTF8
 from dataclasses import replace
 from datetime import date, datetime
 from pathlib import Path
@@ -60,7 +61,7 @@ def read_yuma(path: str | Path, near: date, *, healthy_only: bool = True) -> Sat
     try:
         if (size := Path(path).stat().st_size) > LARGEST_BYTES:
             raise InputError(f"almanac {path} must have at most {LARGEST_BYTES} bytes, has {size}: is it a YUMA file?")
-        text = Path(path).read_text(encoding="ascii", errors="strict")
+        text = Path(path).read_bytes().removeprefix(BOM_UTF8).decode("ascii")
     except (OSError, UnicodeDecodeError) as exc:
         raise InputError(f"almanac {path} must be a readable ASCII text file, got: {exc}") from exc
     return parse_yuma(text, near, healthy_only=healthy_only, source=str(path))

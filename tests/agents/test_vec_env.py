@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -16,6 +17,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs.episode_totals import EPISODE_KEY
+from lanebound.envs.ids import META, Preset, register_id
 from lanebound.envs.observation import entries
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.core.errors import InputError
@@ -144,8 +146,12 @@ def test_episodes_are_those_of_vec_monitor() -> None:
 
 
 def test_what_it_cannot_do_is_refused() -> None:
+    class TwoWay(Preset):
+        PRESET: ClassVar[Mapping[str, Any]] = {"base": "two-way-v0", **META}
+
+    register_id(TwoWay)
     with pytest.raises(InputError, match="SubprocVecEnv"):
-        EngineVecEnv("lanebound/Merge-v0", 2)
+        EngineVecEnv("lanebound/TwoWay-v0", 2)
     with pytest.raises(InputError, match="env_id 'LaneKeping' is unknown: did you mean 'lanebound/LaneKeeping-v0'"):
         EngineVecEnv("LaneKeping", 2)
     with pytest.raises(InputError, match="'costs': did you mean 'cost'"):

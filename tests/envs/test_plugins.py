@@ -152,7 +152,7 @@ def test_roads_that_fork_are_the_same_alone_and_in_the_engine(hairpin: ModuleTyp
             return network
 
         def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], None]:
-            return [Seat(("start", "end", 0), self.road.network.get_lane(("start", "end", 0)).length - 20.0, 8.0)], None
+            return [Seat(("start", "end", 0), self.road.network.get_lane(("start", "end", 0)).length - 4.0, 8.0)], None
 
     class Fork(Preset):
         PRESET = {"base": "ForkWorld", **CONTINUOUS}  # noqa: RUF012

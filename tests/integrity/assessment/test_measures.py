@@ -14,7 +14,7 @@ from lanebound.integrity.assessment.accuracy import (
     measure_accuracy,
     mode_share,
 )
-from lanebound.integrity.assessment.bounding import bounding_by_mode, clopper_pearson, measure_bounding
+from lanebound.integrity.assessment.bounding import bounding_by_mode, clopper_pearson, doubt, measure_bounding
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning.modes import Mode
@@ -114,3 +114,15 @@ def test_bounding_without_levels_or_errors_stays_finite() -> None:
     none = measure_bounding([1.0, 2.0], [np.inf, np.inf])
     assert (none.exceeded, none.pl_median_m, none.ratio_min) == (0, None, None)
     assert measure_bounding([0.0], [1.0]).exceeded == 0
+
+
+@pytest.mark.parametrize(("over", "cases", "risk"), [(1, 50, 1e-5), (2, 50, 1e-3), (3, 50, 1e-3), (3, 1000, 1e-3)])
+def test_levels_are_doubted_where_the_binomial_tail_of_the_risk_is_below_one_in_a_thousand(
+    over: int, cases: int, risk: float
+) -> None:
+    error = np.zeros((cases, 4, 2))
+    error[:over, 1:] = -2.0  # several in one case count once
+    told = doubt(risk, error, np.ones_like(error), "outages")
+    assert (told is not None) == (over > 1 and binom.sf(over - 1, cases, risk) < 1e-3)
+    if told:
+        assert told.startswith(f"errors exceed their levels in {over} of {cases} outages, at a risk of {risk:g}: ")

@@ -75,6 +75,7 @@ def test_sane_sensors_agree_with_slopes_near_one() -> None:
     ("rotation_rate", np.degrees, "yaw rate of IMU/gyro .*probably in deg/s, not in rad/s"),
     ("rotation_rate", lambda v: -v, "its sign is reversed"),
     ("rotation_rate", lambda v: v[:, [2, 1, 0]], "yaw rate of IMU/gyro must change .* keeps one value, 0, for"),
+    ("speed", lambda v: v * np.where(np.arange(len(v)) > 2400, 1.25, 1.0), r"scale of CAN/speed .* 1\.00 .* 1\.25 "),
     ("wheel_speed", lambda v: np.where(np.arange(len(v))[:, None] // 960 == 2, 0.0, v), "wheel_speed .* one value, 0,"),
     ("wheel_speed", lambda v: np.where(np.arange(len(v))[:, None] // 960 == 2, 9.0, v), "wheel_speed .* one value, 9,"),
     ("acceleration", lambda v: v / 9.80665, "feel gravity in m/s.2, its mean is 1: it is probably in g"),
@@ -244,6 +245,9 @@ def drive() -> SmartLoc:
     ({"speed_mps": lambda o: 3.6 * o.speed_mps}, "speed of odom3 .*probably in km/h"),
     ({"yaw_rate_left_radps": lambda o: -o.yaw_rate_left_radps}, "yaw rate of odom3 .*its sign is reversed"),
     ({"yaw_rate_left_radps": lambda o: np.degrees(o.yaw_rate_left_radps)}, "probably in deg/s, not in rad/s"),
+    ({"speed_mps": lambda o: np.where(o.time_s // 12.0 == 3.0, 7.0, o.speed_mps)}, r"odom3 .* one value, 7, for 11"),
+    ({"yaw_rate_left_radps": lambda o: np.where(o.time_s // 12.0 == 3.0, 0.1, o.yaw_rate_left_radps)},
+     "yaw rate of odom3 .* one value, -0.1, for 11.* from 36.0 s on: the sensor was frozen"),
     ({"time_s": lambda o: o.time_s + 2.0}, r"clocks of odom3 .*\+2\.0\d s later"),
 ])  # fmt: skip
 def test_wheels_and_gyro_of_a_smartloc_drive(new, message: str) -> None:
