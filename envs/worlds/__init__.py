@@ -36,6 +36,8 @@ for _kind in (
     WorldKind("intersection-v2", None, intersection_support, 24, "intersection-v1", arrived=has_crossed),
     WorldKind("racetrack-v0", None, racetrack_support),
     WorldKind("racetrack-v1", None, racetrack_support),
+    WorldKind("racetrack-large-v0", None, racetrack_support),
+    WorldKind("racetrack-large-v1", None, racetrack_support),
     WorldKind("merge-v0", None, merge_support, arrived=has_merged),
     WorldKind("merge-v1", None, merge_support, arrived=has_merged),
     WorldKind("roundabout-v0", None, roundabout_support, arrived=has_left_roundabout),

@@ -34,7 +34,7 @@ OWN = ("ser", "ses", 0), "nxs"  # first lane and destination of the ego of Round
 
 
 def racetrack_support() -> Support:
-    """Support of ``racetrack-v0`` and ``racetrack-v1``."""
+    """Support of ``racetrack-v0``, ``racetrack-v1`` and the larger track of ``racetrack-large-v0`` and ``-v1``."""
     return Support(
         traffic="network",
         vehicles=lambda world: 1 + max(int(world.config["other_vehicles"]), 0),

@@ -55,6 +55,7 @@ from lanebound.integrity.replay.sensor_checks import (
     require_changing,
     require_lag,
     require_throughout,
+    with_rate,
 )
 
 __all__ = [
@@ -194,7 +195,7 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     )
     pushes = require_agreement(ACCELERATION, "g", "the log", ahead[part], forward[part], seconds)
     climbs = _slopes_agree(track, at, speed, [pitched, *mirrored], part, config)
-    driven = np.flatnonzero(known & ~bridged & (speed > MOVING_MPS))
+    driven = np.flatnonzero(known & ~bridged & with_rate(speed > MOVING_MPS))
 
     def throughout(quantity: Quantity, unit: str, true: Array, value: Array) -> None:
         since_s = at[driven] - log.gps_time_s[0]
@@ -272,13 +273,15 @@ def _slopes_agree(
     given, found = correlation(by_solution, by_gyro), [correlation(by_solution, other) for other in others]
     better = max(found)
     if better > max(given + CLEARLY, LEAST_CORRELATION):
+        # a reversed sign explains as much; of an axis midway between the two it is the same as their exchange
+        or_vu = ", or change the sign of vu of the solution" * (-given > better - CLEARLY)
         if found.index(better) >= len(MIRRORS):
             raise InputError(
                 "rate x and rate y of the log must be about the axes forward and left, or turned from there, exchanged "
-                f"their correlation with the solution rises from {given:.2f} to {better:.2f}: exchange the columns"
+                f"their correlation with the solution rises from {given:.2f} to {better:.2f}: exchange the two columns"
+                f"{or_vu}"
             )
-        text = _mirrored_text("gyro or the accelerometer", given, better)
-        raise InputError(f"{text}, or of vu of the solution")
+        raise InputError(_mirrored_text("gyro or the accelerometer", given, better) + or_vu)
     return require_agreement(
         PITCH_RATE, "deg/s", "the log, or vu of the solution,", by_solution, by_gyro, k.size / config.rate_hz
     )

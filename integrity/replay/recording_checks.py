@@ -29,6 +29,7 @@ from lanebound.integrity.replay.sensor_checks import (
     require_same_times,
     require_throughout,
     scale_change,
+    with_rate,
 )
 
 __all__ = ["aligned_comma", "check_comma", "check_smartloc"]
@@ -54,7 +55,7 @@ class _Reference:
         self.velocity_mps = (ahead - behind) / MEAN_S
         self.speed_mps = np.hypot(*self.velocity_mps.T)
         self.course_rad = np.unwrap(np.arctan2(self.velocity_mps[:, 0], self.velocity_mps[:, 1]))
-        self.moving = self.speed_mps > MOVING_MPS
+        self.moving = with_rate(self.speed_mps > MOVING_MPS)
 
     @staticmethod
     def _at(time_s: Array, place_m: Array, at_s: Array) -> Array:

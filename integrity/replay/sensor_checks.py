@@ -22,6 +22,7 @@ __all__ = [
     "ACCELERATION", "CLEARLY", "LAG_S", "LEAST_CORRELATION", "PITCH_RATE", "SLIP_S", "SPEED", "YAW_RATE", "Agreement",
     "Quantity", "correlation", "likely_unit", "require_agreement", "require_changing", "require_lag",
     "require_same_times", "require_throughout", "scale_change",
+    "with_rate",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -259,6 +260,11 @@ def scale_change(quantity: Quantity, time_s: Array, reference: Array, sensed: Ca
         return None
     ends = (driven[int(np.argmin(now))], now.min()), (driven[int(np.argmax(now))], now.max())
     return " and ".join(f"{of:.2f} between {starts[k]:.0f} and {starts[k] + WINDOW_S:.0f} s" for k, of in ends)
+
+
+def with_rate(moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Epochs (T,) at which a car moves, as at their neighbours: a track that is held at rest jumps when it starts."""
+    return np.asarray(moving & np.append(moving[1:], True) & np.insert(moving[:-1], 0, True))
 
 
 def require_same_times(where: str, time_s: Array, place_m: Array, true_s: Array, true_m: Array) -> None:

@@ -38,6 +38,7 @@ OTHERS: list[tuple[str, dict[str, Any]]] = [
     ("Highway", {"simulation_hz": 4, "policy_hz": 1, "navigation": {"rate_hz": 4.0}, "duration_s": 12.0}),
     ("LaneKeeping", {"navigation": {"source": "offset", "offset_at_m": 0.7, "offset_ct_m": -0.4}}),
     ("LaneKeeping", {"off_road_ends": False, "wrong_way_s": 0.5, "actuators": {"steering_rate_radps": None}}),
+    ("Racetrack", {"base": "racetrack-large-v1", "action_options": {"longitudinal": True}}),
     ("Merge", {"base": "merge-v0", "actuators": {}, "reward": {"base": 0.5}}),
     ("Roundabout", {"navigation": {"source": "offset", "offset_ct_m": 0.9}, "observation": {"integrity": "oracle"}}),
     ("Roundabout", {"world": {"incoming_vehicle_destination": 2, "normalize_reward": False}, "actuators": None}),

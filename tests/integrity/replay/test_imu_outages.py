@@ -229,7 +229,7 @@ def test_a_gap_of_the_solution_counts_and_one_of_the_log_in_the_calibration_is_r
     (lambda f, w: (f, w * [1, 1, 0]), "rate z of the log must change .* it keeps one value, 0, for 120"),
     (lambda f, w: (f, np.where(np.arange(len(w))[:, None] // 2000 == 2, w[4000], w)), r"rate x .* for 20\.. s"),
     (lambda f, w: (np.where(np.arange(len(f))[:, None] // 2000 == 2, f[4000], f), w), r"force x .* for 20\.. s"),
-    (lambda f, w: (f, w[:, [1, 0, 2]]), "rate x and rate y of the log .* exchanged .* rises .* exchange the columns"),
+    (lambda f, w: (f, w[:, [1, 0, 2]]), "rate x and rate y of the log .* exchanged .* exchange the two columns"),
     (lambda f, w: (f, w * [1, -1, 1]), "with one axis of the gyro or the accelerometer mirrored"),
     (lambda f, w: (f * [-1, -1, 1], w), "with one axis of the gyro or the accelerometer mirrored"),
     (lambda f, w: (f * G_MPS2, w), r"mean force of 96.* it is probably in m/s\^2, not in g"),

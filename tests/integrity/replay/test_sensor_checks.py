@@ -16,6 +16,7 @@ from lanebound.integrity.replay.sensor_checks import (
     require_lag,
     require_same_times,
     require_throughout,
+    with_rate,
 )
 
 TIME = np.arange(0.0, 60.0, 0.1)
@@ -165,6 +166,11 @@ def test_wheels_that_stand_with_the_car_are_right() -> None:
 def test_a_wrong_scale_is_no_other_time(scale: float) -> None:
     sensed = scale * SPEEDS
     require_throughout(SPEED, "m/s", "log", TIME, SPEEDS, lambda lag: np.interp(TIME + lag, TIME, sensed), 0.0)
+
+
+def test_epochs_beside_a_stop_have_no_rate() -> None:
+    assert with_rate(np.array([1, 1, 1, 0, 0, 1, 1, 1]) > 0).tolist() == [True, True, *4 * [False], True, True]
+    assert with_rate(np.zeros(0, np.bool_)).size == 0
 
 
 def test_a_clock_that_jumps_inside_a_drive_is_refused() -> None:
