@@ -156,14 +156,26 @@ def test_heading_follows_the_gyro_the_course_of_doppler_and_is_held_at_rest() ->
     assert heading["p_hh"][1] < 0.05**2
     assert (heading["angle"][2], w["turned"][2]) == (pytest.approx(0.7), 0.0)
     assert w["resting"].tolist() == [False, False, True]
-    run("admission", epoch)
-    assert w["doppler_moves"].tolist() == [False, True, False]
     assert epoch.vehicles["since_calibration"].tolist() == [2.0, 0.0, 2.0]
-    assert np.isinf(w["sdop"][[0, 2]]).all()
-    assert np.isfinite(w["sdop"][1])
     np.testing.assert_allclose(np.hypot(w["sin_h"], w["cos_h"]), 1.0)
     np.testing.assert_allclose(np.arctan2(w["sin_h"], w["cos_h"]), heading["angle"])
     np.testing.assert_array_equal(np.stack([w["before_e"], w["before_n"]], -1), epoch.vehicles["position"][:, :2])
+
+
+def test_admission_is_for_a_tested_velocity_of_good_geometry_that_agrees_with_the_wheels() -> None:
+    epoch = blank(5)
+    w = epoch.work
+    w["solved"] = w["checked"] = [False, True, True, True, True]
+    w["v_e"], w["v_n"], w["v_gnss"], w["hdop_doppler"] = 6.0, 8.0, 10.0, 1.0
+    w["sin_h"], w["cos_h"], w["q"] = 0.6, 0.8, 1e-4 * np.eye(3)
+    w["hdop_doppler"][2] = 100.0  # of poor geometry
+    epoch.observed["speed"] = [10.0, 10.0, 10.0, 20.0, 10.0]  # the wheels contradict in 3
+    epoch.vehicles["doubt"]["refuses"][4] = True
+    run("admission", epoch)
+    assert w["doppler_moves"].tolist() == [False, True, False, False, False]
+    assert np.isinf(w["sdop"][0])
+    assert w["sdop"][1] == pytest.approx(0.01 / epoch.parameters["doppler"]["sigma"][0])
+
 
 
 def test_carriers_that_lost_their_lock_or_slipped_are_released() -> None:
@@ -323,7 +335,7 @@ def test_histories_add_the_paths_by_both_headings_less_that_taken() -> None:
     assert not any(growth[name][1].any() for name in growth.dtype.names)
 
 
-def test_levels_of_a_known_covariance_are_its_deviations_times_the_factors() -> None:
+def test_reckoned_levels_of_a_known_covariance_are_its_deviations_times_the_factors() -> None:
     epoch = blank(3)
     epoch.vehicles["initialised"], epoch.vehicles["unbounded"][1] = [True, True, False], True
     epoch.vehicles["growth"]["p_ee"], epoch.vehicles["growth"]["p_nn"] = 0.2**2, 0.3**2
