@@ -14,6 +14,7 @@ from hypothesis import settings
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # two workers: threads of PyTorch that wait for each other slow both
 
 # What commands print is compared as plain text of one width, whatever terminal or service runs the tests.
 os.environ["COLUMNS"] = "120"
