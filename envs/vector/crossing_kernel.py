@@ -12,8 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.lanes_kernel import NONE, local
-from lanebound.envs.worlds.crossing import ASKS_M, CLEAR_S, EXIT_M, GAP_S, SLOW_MPS
-from lanebound.envs.worlds.drivers import LINE_BRAKE_MPS2, LINE_M, LINE_S, START_MPS2
+from lanebound.envs.worlds.idm_parameters_kernel import (
+    ASKS_M,
+    CLEAR_S,
+    EXIT_M,
+    GAP_S,
+    LINE_BRAKE_MPS2,
+    LINE_M,
+    LINE_S,
+    SLOW_MPS,
+    START_MPS2,
+)
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 

@@ -15,19 +15,15 @@ from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from lanebound.envs.worlds.drivers import START_MPS2, IntersectionDriver
+from lanebound.envs.worlds.drivers import IntersectionDriver
+from lanebound.envs.worlds.idm_parameters_kernel import ASKS_M, CLEAR_S, EXIT_M, GAP_S, SLOW_MPS, START_MPS2
 
 __all__ = ["CrossingRoad", "Way", "ways_through"]
 
 Array = NDArray[np.float64]
 Movement = tuple[str, str]
 STEP_M = 0.5
-EXIT_M = 8.0  # of the exit that a driver must leave before another one turns into it; a car and a gap of 3 m
 NEAR_M = 3.0  # of two middles: two half widths and 1 m for the lines of drivers in their lanes
-ASKS_M = 30.0  # before the crossing, where permission is given; a driver stops from 10 m/s in 25 m
-GAP_S = 1.0  # between a driver that leaves a conflict and one of higher priority that reaches the crossing; chosen
-CLEAR_S = 0.7  # between two drivers at one place inside; chosen
-SLOW_MPS = 2.0  # below this a driver waits for an ego inside the crossing; faster ones insist on their right of way
 
 
 class Way(NamedTuple):

@@ -9,16 +9,19 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 from pydantic import field_validator
 
-from lanebound.envs.worlds.idm_parameters_kernel import CALM, REACTION_S
+from lanebound.envs.worlds.idm_parameters_kernel import (
+    CALM,
+    LINE_BRAKE_MPS2,
+    LINE_M,
+    LINE_S,
+    REACTION_S,
+    START_MPS2,
+)
 from lanebound.integrity.core.config import Config, Field
 
 __all__ = ["CityDriver", "IntersectionDriver", "LeadVehicle", "SpeedProfileConfig", "speed_profile"]
 
 Array = NDArray[np.float64]
-START_MPS2 = 2.0  # of drivers at a crossing at most; ITE: 1.5 to 2.5 from rest
-LINE_BRAKE_MPS2 = 2.0  # with which they stop before it; comfortable
-LINE_M = 1.0  # from the crossing to where they wait
-LINE_S = 0.25  # in which they take the speed for the stop; short, so that they stop within 0.2 m of it
 
 
 class SpeedProfileConfig(Config):

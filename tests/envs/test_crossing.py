@@ -9,7 +9,8 @@ import pytest
 
 from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.worlds.crossing import CrossingRoad, ways_through
-from lanebound.envs.worlds.drivers import LINE_M, IntersectionDriver
+from lanebound.envs.worlds.drivers import IntersectionDriver
+from lanebound.envs.worlds.idm_parameters_kernel import LINE_M
 
 DT_S = 0.05
 ARMS = range(4)  # south, west, north, east
