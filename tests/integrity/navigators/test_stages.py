@@ -177,7 +177,6 @@ def test_admission_is_for_a_tested_velocity_of_good_geometry_that_agrees_with_th
     assert w["sdop"][1] == pytest.approx(0.01 / epoch.parameters["doppler"]["sigma"][0])
 
 
-
 def test_carriers_that_lost_their_lock_or_slipped_are_released() -> None:
     epoch = blank()
     measure(epoch)
