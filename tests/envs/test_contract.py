@@ -462,7 +462,8 @@ def test_unknown_options_and_commands_before_the_start_are_refused() -> None:
     ],
 )
 def test_faults_that_cannot_act_are_refused(fault: dict[str, Any], message: str) -> None:
-    env, good = made(LANE_KEEPING), {"kind": "spoofing", "magnitude_m": 3.0, "vehicle": 0}
+    env = DrivingEnv(make_config(LANE_KEEPING, light(LANE_KEEPING)))
+    good = {"kind": "spoofing", "magnitude_m": 3.0, "vehicle": 0}
     with pytest.raises(InputError, match=message):
         env.reset(seed=1, options={"faults": [good, {**good, **fault}]})
 
