@@ -27,7 +27,7 @@ from lanebound.envs.batch.navigation import NavigationBatch, Starts, fixes_of
 from lanebound.envs.batch.perception import PerceptionBatch, perceives
 from lanebound.envs.batch.records_kernel import CAR, EGO
 from lanebound.envs.batch.route_map import Reach, Routes
-from lanebound.envs.batch.sky_ahead_kernel import Ahead
+from lanebound.envs.batch.sky_ahead_kernel import SkyAhead
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation.index import Observed, entries, sources_of
 from lanebound.integrity.core.accel import run_rows
@@ -228,7 +228,7 @@ class Episodes:
         """Score a policy step, or a start, find what is shown of the egos, and fill the frames."""
         p, n, ahead = self.perception.pictures, self.navigation, None
         if n is not None and self._sensed and self.views.sky.size:
-            ahead = Ahead(n.where, n.forecast, n.sky)
+            ahead = SkyAhead(n.where, n.forecast, n.sky)
         run_rows(
             rk.conclude_rows, rows.size, rows, self.cars, self.ego, p.picture, p.perceived, self.path_of,
             self.table.lanes, self.routes.map, self.rules, self.views, ahead, self._sources, self.frame, start,

@@ -14,7 +14,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import TWO_PI
 from lanebound.integrity.sky.raytrace_kernel import bin_of
 
-__all__ = ["Ahead", "Forecast", "HourTable", "SkyRows", "fill_sky", "predict"]
+__all__ = ["Forecast", "HourTable", "SkyAhead", "SkyRows", "fill_sky", "predict"]
 
 BELOW_RAD = -0.5 * math.pi  # elevation of satellites below the horizon, whose directions are not used
 NO_LANE = -1.0  # number of satellites where there is no lane
@@ -55,7 +55,7 @@ class Forecast(NamedTuple):
     elevations: int
 
 
-class Ahead(NamedTuple):
+class SkyAhead(NamedTuple):
     """What satellites ahead are predicted from: where the environments are, what the map says, and the sky now."""
 
     where: Whereabouts

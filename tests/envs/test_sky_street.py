@@ -142,7 +142,7 @@ def test_an_environment_observes_what_is_predicted_along_its_route(name: str) ->
         belief, measured = loop.belief(), loop.episodes.navigation.measurements
         along = network.get_lane(belief.lane_index).local_coordinates(belief.position_m)[0]
         given = (belief.lane_index, along, env.config.observation.satellites_m, measured.sky, loop.ego.route)
-        found = loop.episodes.sky[0].reshape(-1, 3)
+        found = loop.episodes.views.sky[0].reshape(-1, 3)
         np.testing.assert_array_equal(found, predicted_beside(loop.street, network, *given))
         lanes |= {index for index in found.ravel().tolist() if index >= 0.0}
         if terminated or truncated:

@@ -9,6 +9,7 @@ from lanebound.envs.batch.next_lane_kernel import keep_to_route
 from lanebound.envs.batch.records_kernel import GIVEN
 from lanebound.envs.batch.rows_kernel import carry_on
 from lanebound.envs.vector.drivers_kernel import NUMBERS, WHOLES, command_ego, load, vehicles_in
+from lanebound.envs.vector.world_kernel import judge
 from lanebound.integrity.core.accel import jit
 
 __all__ = ["FIELDS", "run_replay"]
@@ -17,7 +18,7 @@ FIELDS = ("x", "y", "heading", "speed", "lane", "crashed", "onward")
 
 
 @jit
-def run_replay(first, last, rows, frames, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
+def run_replay(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
     """A kernel as in :mod:`lanebound.envs.vector.drive_kernel`, with poses from ``profile`` (N, S 7 V).
 
     The profile has S simulation steps, after which it begins again; of each the ``FIELDS`` of V vehicles.
@@ -44,3 +45,5 @@ def run_replay(first, last, rows, frames, codes, cars, drivers, egos, motions, l
             carry_on(ego, here, motions[e], lanes, rules[0], frame + 1 == frames)
             if rules[0].source == GIVEN or frame + 1 < frames:
                 keep_to_route(ego, lanes, traffic.roads.routes, rules[0])
+        if ends:
+            judge(here, drivers[e], ego, lanes, rules[0], traffic.world[0], False)

@@ -229,7 +229,7 @@ def test_levels_and_errors_are_those_of_navigation() -> None:
     engine.reset(np.arange(24), list(range(24)))
     for _ in range(25):
         engine.step(np.zeros((24, 2), dtype=np.float32))
-    out, sky = engine.outcome, engine.episodes.sky
+    out, sky = engine.outcome, engine.episodes.views.sky
     error = np.abs([out["err_at_m"], out["err_ct_m"]])
     assert (error < [out["pl_at_m"], out["pl_ct_m"]]).mean() > 0.95
     assert 0.005 < np.median(error) < 0.2

@@ -88,7 +88,7 @@ def test_an_orbit_that_cannot_be_is_left_out_with_its_reason() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "RINEX VERSION / TYPE"),
+        ("", "is empty"),
         ("hello\n", "RINEX VERSION / TYPE"),
         (HEADER.replace("3.04", "1.00"), "version 2"),
         (HEADER.replace("N: GNSS NAV", "OBSERVATION"), "type N"),
