@@ -145,7 +145,8 @@ def _trained(path: Path, form: dict[str, Any], policy: str, **normal: Any) -> tu
     single = open_env("LaneKeeping", deep_merge(GIVEN, form))
     envs = VecNormalize(DummyVecEnv([lambda: single]), **normal)
     with one_thread():
-        model = PPO(policy, envs, n_steps=8, batch_size=8, n_epochs=1, policy_kwargs={"net_arch": [8]}, device="cpu")
+        small: dict[str, Any] = {"policy_kwargs": {"net_arch": [8]}, "n_steps": 8, "batch_size": 8, "n_epochs": 1}
+        model = PPO(policy, envs, seed=1, device="cpu", **small)  # its last observation lies outside the bounds
         model.learn(16)
     model.save(path)
     return model, envs, single
