@@ -245,7 +245,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         Raises
         ------
         InputError
-            Unknown options.
+            Unknown options, or a fault that cannot act in this episode.
         """
         super().reset(seed=seed)
         faults = _faults_in(options)

@@ -165,6 +165,11 @@ def set_scene(
 
     ``faults`` takes the place of the random campaign when given; their times count from the start of the episode, and
     vehicle 0 is the ego, 1 and up the slots of the others, None all of them.
+
+    Raises
+    ------
+    InputError
+        A given fault cannot act.
     """
     others = sum(v is not world.vehicle for v in world.road.vehicles)
     kind = world_kind(config.base)
@@ -176,11 +181,11 @@ def set_scene(
     street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
     episodes = _episodes(world, config, [street], [hour], 1, 1 + others, capacity)
     schedule = FaultSchedule(())
+    if faults:
+        _require_effect(faults, episodes.navigation, duration_s(config, world))
     if episodes.navigation is not None:
         campaign = _campaign(episodes.navigation, config, duration_s(config, world), capacity, seed)
-        if faults is not None:
-            _require_effect(faults, episodes.navigation, duration_s(config, world))
-            campaign = faults
+        campaign = campaign if faults is None else faults
         start_s = config.navigation.clock_start_s
         schedule = FaultSchedule([fault.replace(start_s=fault.start_s + start_s) for fault in campaign])
         episodes.navigation.navigator.faults = schedule
@@ -188,8 +193,10 @@ def set_scene(
     return EpisodeContext(street, episodes, seed, starts._replace(layout=here, hour=here), schedule)
 
 
-def _require_effect(faults: Sequence[Fault], navigation: NavigationBatch, duration_s: float) -> None:
-    """Refuse faults that cannot act: a driver would seem robust against them."""
+def _require_effect(faults: Sequence[Fault], navigation: NavigationBatch | None, duration_s: float) -> None:
+    """Refuse faults that cannot act in an episode of ``duration_s`` [s]: a driver would seem robust against them."""
+    if navigation is None:
+        raise InputError("options.faults must be left out where nothing navigates: set navigation.source to navigator")
     track = navigation.skies.track
     for i, fault in enumerate(faults):
         name = f"options.faults.{i}"

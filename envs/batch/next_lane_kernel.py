@@ -16,7 +16,7 @@ from lanebound.integrity.core.records import record
 
 __all__ = ["ROUTE_M", "STEP", "beyond", "following", "keep_rows", "keep_to_route", "next_lane", "route_onward"]
 
-ROUTE_M = 2.0  # half a lane of highway-env's: by so much a lane of the route may be further off than another
+ROUTE_M = 2.0  # half a lane of highway-env: a lane of the route is preferred unless another is this much nearer
 
 STEP = record(
     road=("i8", "row of the leftmost lane of a road, NONE at the end of a route"),

@@ -17,6 +17,7 @@ them compiles plain ``numba.njit`` functions, with all wrappers.
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -173,10 +174,11 @@ class _KernelCache(FunctionCache):
         What this machine compiled comes before what a wheel shipped.
         """
         forms = (INNER, OUTER) if self._kernel._is_inner else (OUTER,)
-        for self._machine in (None, PORTABLE) if takes_shipped() else (None,):
-            for self._saved_form in forms:
-                if (found := super().load_overload(sig, target_context)) is not None:
-                    return found
+        machines = (None, PORTABLE) if takes_shipped() else (None,)
+        for machine, form in itertools.product(machines, forms):
+            self._machine, self._saved_form = machine, form
+            if (found := super().load_overload(sig, target_context)) is not None:
+                return found
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:

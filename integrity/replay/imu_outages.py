@@ -135,25 +135,12 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
         The log does not begin at rest, the two files share too little time, or the first ``calibration_s`` of driving
         have too few accelerations to find the azimuth, or a sensor contradicts the solution: unit, sign, axis or clock.
     """
-    if track.velocity_neu_mps is None:
-        raise InputError(
-            "the solution must have velocities in all rows, has none in some: set out-outvel of RTKLIB to on"
-        )
-    if not ((track.quality >= 1) & (track.quality <= WORST_QUALITY)).any():
-        kinds = ", ".join(map(str, np.unique(track.quality)))
-        raise InputError(
-            f"the solution must have rows of Q 1 (fixed) or 2 (float), its {track.quality.size} rows have Q {kinds}: "
-            "process it by RTK with a base (pos1-posmode of RTKLIB kinematic)"
-        )
+    _require_usable(track)
     at = _common_times(log, track, config)
     place, speed, heading, known, near = _reference(track, at)
     turning, ahead = np.gradient(heading, at), np.gradient(speed, at)
     on = known & near & (speed > MOVING_MPS)
-    for quantity, sensor, true in ((YAW_RATE, "rate", turning), (ACCELERATION, "force", ahead)):
-        for k, axis in enumerate("xyz"):  # raw, because levelling mixes the axes
-            value = (log.rate_radps if sensor == "rate" else log.force_mps2)[:, k]
-            named = quantity._replace(name=f"{sensor} {axis}")
-            require_changing(named, "the log", log.gps_time_s, value, at[on], true[on])
+    _require_changing_axes(log, at[on], turning[on], ahead[on])
     level, roll, pitch = levelled(log, config.rest_s)
     rates = _rates(log, config)
     in_gap = log.timing.bridged(at, LAG_S + 1.0 / config.rate_hz, LAG_S + 1.0 / config.rate_hz)
@@ -213,6 +200,29 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
             for name, found in agreements.items()
         },
     }  # fmt: skip
+
+
+def _require_usable(track: RtkSolution) -> None:
+    """Refuse a solution without velocities, or without rows that are good enough for a reference."""
+    if track.velocity_neu_mps is None:
+        raise InputError(
+            "the solution must have velocities in all rows, has none in some: set out-outvel of RTKLIB to on"
+        )
+    if not ((track.quality >= 1) & (track.quality <= WORST_QUALITY)).any():
+        kinds = ", ".join(map(str, np.unique(track.quality)))
+        raise InputError(
+            f"the solution must have rows of Q 1 (fixed) or 2 (float), its {track.quality.size} rows have Q {kinds}: "
+            "process it by RTK with a base (pos1-posmode of RTKLIB kinematic)"
+        )
+
+
+def _require_changing_axes(log: ImuLog, at_s: Array, turning_radps: Array, ahead_mps2: Array) -> None:
+    """Refuse a frozen axis, by the reference (N,) at times (N,) [s] of driving; raw, as levelling mixes axes."""
+    sensors = (YAW_RATE, "rate", log.rate_radps, turning_radps), (ACCELERATION, "force", log.force_mps2, ahead_mps2)
+    for quantity, sensor, values, reference in sensors:
+        for axis, value in zip("xyz", values.T, strict=True):
+            named = quantity._replace(name=f"{sensor} {axis}")
+            require_changing(named, "the log", log.gps_time_s, value, at_s, reference)
 
 
 def _common_times(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> Array:

@@ -468,6 +468,13 @@ def test_faults_that_cannot_act_are_refused(fault: dict[str, Any], message: str)
         env.reset(seed=1, options={"faults": [good, {**good, **fault}]})
 
 
+def test_faults_are_refused_where_nothing_navigates() -> None:
+    env = DrivingEnv(make_config(LANE_KEEPING, light(LANE_KEEPING, navigation={"source": "perfect"})))
+    with pytest.raises(InputError, match=r"options\.faults must be left out where nothing navigates"):
+        env.reset(seed=1, options={"faults": [{"kind": "spoofing", "magnitude_m": 3.0}]})
+    env.reset(seed=1, options={"faults": []})
+
+
 def test_a_longer_duration_holds_against_that_of_the_world() -> None:
     config = light(LANE_KEEPING, policy_hz=1, navigation={"source": "perfect"}, off_road_ends=False)
     for world_s, duration_s, steps in ((2, 3.0, 3), (4, 3.0, 3), (2, None, 2)):
