@@ -20,6 +20,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 from lanebound.envs import IDS
 from lanebound.envs.batch.infos import NAMES, single_info
 from lanebound.envs.config import EnvConfig
+from lanebound.envs.core import faults_in
 from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
 from lanebound.envs.vector.env import engines
 from lanebound.integrity.core.errors import InputError
@@ -86,13 +87,15 @@ class EngineVecEnv(VecEnv):
         return self.envs.config
 
     def reset(self) -> Any:
-        """Begin an episode in every environment, under the seeds given by ``seed``."""
-        if any(self._options):
-            raise InputError(
-                f"options must be left out in the vector engine, got {next(filter(None, self._options))}: "
-                "use DummyVecEnv or SubprocVecEnv"
-            )
-        observations, infos = self.envs.reset(seed=self._seeds)
+        """Begin an episode in every environment, under the seeds of ``seed`` and with the faults of ``set_options``.
+
+        Raises
+        ------
+        InputError
+            Options that a single environment refuses.
+        """
+        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        observations, infos = self.envs.begin(self._seeds, everyone, [faults_in(own) for own in self._options])
         self.arrays = infos
         self._clear(slice(None))
         self.reset_infos = [single_info(infos, row) for row in range(self.num_envs)]

@@ -13,7 +13,6 @@ import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
-from numpy.typing import NDArray
 
 from lanebound.envs.batch import ego_kernel
 from lanebound.envs.batch.belief_kernel import locate
@@ -34,7 +33,6 @@ from lanebound.integrity.navigators.solution import Solution
 
 __all__ = ["BeliefLoop", "WorldStep"]
 
-Array = NDArray[np.float64]
 ROW = np.zeros(1, dtype=np.int64)
 
 
@@ -166,19 +164,7 @@ class BeliefLoop:
     def perceive(self) -> None:
         """Perceive the traffic at the end of an epoch."""
         if self._ends_epoch:
-            self.episodes.perceive(ROW, np.array([self.time_s]), self._lies())
-
-    def _lies(self) -> Array | None:
-        """Errors that faults add to broadcasts of the other vehicles, (C, 4); None without such faults."""
-        faults, navigation = self.context.faults, self.episodes.navigation
-        if navigation is None or navigation.vehicles == 1 or not faults.faults:
-            return None
-        clock = float(navigation.clock_s[0])
-        if not faults.active(clock):
-            return None
-        effects = faults.effects(clock, self.epoch_s, navigation.view(), navigation.vehicles)
-        lies = np.concatenate([effects.v2v_offset_enu_m, effects.v2v_pl_scale[:, None]], axis=1)
-        return np.ascontiguousarray(lies[1:], dtype=np.float64)
+            self.episodes.perceive(ROW, np.array([self.time_s]))
 
     # From belief to commands
 

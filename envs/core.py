@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -20,7 +20,7 @@ from lanebound.envs.world import checked_command
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
-__all__ = ["DrivingEnv"]
+__all__ = ["OPTIONS", "DrivingEnv", "faults_in"]
 
 OPTIONS = ("faults",)
 WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # ends of the ranges from which seeds are drawn
@@ -248,7 +248,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
             Unknown options, or a fault that cannot act in this episode.
         """
         super().reset(seed=seed)
-        faults = _faults_in(options)
+        faults = faults_in(options)
         episode_seed = int(self.np_random.integers(EPISODE_SEEDS))
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(WORLD_SEEDS)))
         self._duration_s = duration_s(self.config, self.world)
@@ -358,11 +358,19 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         return {**self.__dict__, "_pictures": None}
 
 
-def _faults_in(options: dict[str, Any] | None) -> tuple[Fault, ...] | None:
-    """The faults that ``reset`` was given, None for the random campaign."""
-    unknown = [key for key in options or {} if key not in OPTIONS]
+def faults_in(options: Mapping[str, Any] | None, known: Sequence[str] = OPTIONS) -> tuple[Fault, ...] | None:
+    """The faults that ``reset`` was given, None for the random campaign; ``known``: names of options.
+
+    Raises
+    ------
+    InputError
+        Another option, or faults that are no list.
+    ConfigError
+        A fault with a mistake.
+    """
+    unknown = [key for key in options or {} if key not in known]
     if unknown:
-        raise InputError(f"options must be among {', '.join(OPTIONS)}, got {unknown[0]!r}: correct the name")
+        raise InputError(f"options must be among {', '.join(known)}, got {unknown[0]!r}: correct the name")
     if not options or "faults" not in options:
         return None
     faults = options["faults"]

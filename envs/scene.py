@@ -12,6 +12,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.episodes import Episodes, empty_cars, reach_of
+from lanebound.envs.batch.faults import NO_FAULTS
 from lanebound.envs.batch.navigation import NavigationBatch, Starts, draw_starts
 from lanebound.envs.batch.perception import PerceptionBatch
 from lanebound.envs.batch.route_map import routes_of
@@ -29,8 +30,8 @@ from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.campaign import random_campaign
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 
-__all__ = ["MAP_SHARE", "EpisodeContext", "alert_limits_m", "begin_all", "duration_s", "make_batch", "map_bound_m",
-           "navigator_config", "set_scene"]  # fmt: skip
+__all__ = ["MAP_SHARE", "EpisodeContext", "alert_limits_m", "begin_all", "duration_s", "give_faults", "make_batch",
+           "map_bound_m", "navigator_config", "set_scene"]  # fmt: skip
 
 ENDLESS_S = 300.0  # of sky for worlds that set no duration
 MARGIN_S = 60.0  # of sky beyond what an episode is expected to last
@@ -101,8 +102,10 @@ def make_batch(world: AbstractEnv, config: EnvConfig, count: int, vehicles: int,
     return _episodes(world, config, streets, range(HOURS), count, vehicles, capacity)
 
 
-def begin_all(episodes: Episodes, rows: NDArray[np.int64], seeds: Sequence[int], newcomers: int) -> Starts | None:
-    """Begin episodes of the engine, whose cars are in their places.
+def begin_all(
+    episodes: Episodes, rows: NDArray[np.int64], seeds: Sequence[int], newcomers: int, duration_s: float
+) -> Starts | None:  # fmt: skip
+    """Begin episodes of the engine, whose cars are in their places; ``duration_s``: of an episode.
 
     newcomers : slots of each beside those of the others that are there
     """
@@ -114,6 +117,9 @@ def begin_all(episodes: Episodes, rows: NDArray[np.int64], seeds: Sequence[int],
         navigating = crew[:, : navigation.vehicles - 1]
         starts = draw_starts(seeds, config.layouts, HOURS, navigating, config.navigation.source.uses_sensors)
     episodes.begin(rows, seeds, starts, crew)
+    if navigation is not None:
+        for row, others, seed in zip(rows.tolist(), slots.tolist(), seeds, strict=True):
+            _put(navigation, row, config, _campaign(navigation, row, config, duration_s, others, seed))
     return starts
 
 
@@ -155,7 +161,6 @@ class EpisodeContext:
     episodes: Episodes
     seed: int
     starts: Starts
-    faults: FaultSchedule
 
 
 def set_scene(
@@ -180,24 +185,43 @@ def set_scene(
     layout, hour = int(starts.layout[0]), int(starts.hour[0])
     street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
     episodes = _episodes(world, config, [street], [hour], 1, 1 + others, capacity)
-    schedule = FaultSchedule(())
-    if faults:
-        _require_effect(faults, episodes.navigation, duration_s(config, world))
-    if episodes.navigation is not None:
-        campaign = _campaign(episodes.navigation, config, duration_s(config, world), capacity, seed)
-        campaign = campaign if faults is None else faults
-        start_s = config.navigation.clock_start_s
-        schedule = FaultSchedule([fault.replace(start_s=fault.start_s + start_s) for fault in campaign])
-        episodes.navigation.navigator.faults = schedule
+    navigation, ends_s = episodes.navigation, duration_s(config, world)
+    if faults is not None:
+        give_faults(episodes, 0, faults, ends_s)
+    elif navigation is not None:
+        _put(navigation, 0, config, _campaign(navigation, 0, config, ends_s, capacity, seed))
     here = np.zeros(1, dtype=np.int64)
-    return EpisodeContext(street, episodes, seed, starts._replace(layout=here, hour=here), schedule)
+    return EpisodeContext(street, episodes, seed, starts._replace(layout=here, hour=here))
 
 
-def _require_effect(faults: Sequence[Fault], navigation: NavigationBatch | None, duration_s: float) -> None:
+def give_faults(episodes: Episodes, row: int, faults: Sequence[Fault], duration_s: float) -> None:
+    """Put faults in the place of the random ones of an episode of ``duration_s`` [s]; see :func:`set_scene`.
+
+    Raises
+    ------
+    InputError
+        One of them cannot act.
+    """
+    if faults:
+        _require_effect(faults, episodes.navigation, row, duration_s)
+    if episodes.navigation is not None:
+        _put(episodes.navigation, row, episodes.config, faults)
+
+
+def _put(navigation: NavigationBatch, row: int, config: EnvConfig, faults: Sequence[Fault]) -> None:
+    """Give an episode faults whose times count from its start."""
+    start_s = config.navigation.clock_start_s
+    of_clock = [fault.replace(start_s=fault.start_s + start_s) for fault in faults]
+    navigation.faults.put(row, FaultSchedule(of_clock) if of_clock else NO_FAULTS)
+
+
+def _require_effect(
+    faults: Sequence[Fault], navigation: NavigationBatch | None, row: int, duration_s: float
+) -> None:  # fmt: skip
     """Refuse faults that cannot act in an episode of ``duration_s`` [s]: a driver would seem robust against them."""
     if navigation is None:
         raise InputError("options.faults must be left out where nothing navigates: set navigation.source to navigator")
-    track = navigation.skies.track
+    track, crew = navigation.skies.risen(int(navigation.hour[row])), navigation.crew(row)
     for i, fault in enumerate(faults):
         name = f"options.faults.{i}"
         if fault.start_s >= duration_s:
@@ -205,9 +229,9 @@ def _require_effect(faults: Sequence[Fault], navigation: NavigationBatch | None,
                 f"{name}.start_s must be before the end of the episode, {duration_s:g} s, got {fault.start_s:g}: "
                 "begin it earlier, or raise duration_s"
             )
-        if fault.vehicle is not None and fault.vehicle >= navigation.vehicles:
+        if fault.vehicle is not None and fault.vehicle >= crew:
             raise InputError(
-                f"{name}.vehicle must be below {navigation.vehicles}, the vehicles that navigate (0: the ego), got "
+                f"{name}.vehicle must be below {crew}, the vehicles that navigate (0: the ego), got "
                 f"{fault.vehicle}: name another, or none for all"
             )
         if fault.prn is not None and not ((track.system == fault.system) & (track.prn == fault.prn)).any():
@@ -218,12 +242,12 @@ def _require_effect(faults: Sequence[Fault], navigation: NavigationBatch | None,
 
 
 def _campaign(
-    navigation: NavigationBatch, config: EnvConfig, duration_s: float, others: int, seed: int
+    navigation: NavigationBatch, row: int, config: EnvConfig, duration_s: float, others: int, seed: int
 ) -> tuple[Fault, ...]:
     """The random faults of an episode: of what all share, of the ego (row 0) and of the other slots (1 and up)."""
     priors = config.faults.priors
     if priors is None:
         return ()
-    track = navigation.skies.risen()
+    track = navigation.skies.risen(int(navigation.hour[row]))
     sky = track.at(track.start_s, np.zeros(others + 1, dtype=np.int64))
     return random_campaign(priors, duration_s, named_generator(seed, "faults"), sky)

@@ -219,9 +219,10 @@ class Episodes:
         """Count an epoch for the scores, misleading or not."""
         rk.count_rows(0, rows.size, rows, self.cars, self.ego)
 
-    def perceive(self, rows: Rows, time_s: Array, lies: Array | None = None) -> None:
-        """Perceive the traffic at the end of an epoch; time_s (n,), lies: see :meth:`.PerceptionBatch.perceive`."""
-        at, fixes = (rows, None) if self.navigation is None else (self.navigation.at(rows), self.navigation.fixes)
+    def perceive(self, rows: Rows, time_s: Array) -> None:
+        """Perceive the traffic at the end of an epoch; time_s (n,) of the episodes."""
+        n = self.navigation
+        at, fixes, lies = (rows, None, None) if n is None else (n.at(rows), n.fixes, n.lies)
         self.perception.perceive(rows, at, time_s, fixes, self.cars, self.ego, lies)
 
     def score_and_observe(self, rows: Rows, start: bool) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch import rows_kernel as rk
 from lanebound.envs.batch.belief_kernel import FIX
+from lanebound.envs.batch.faults import EpisodeFaults
 from lanebound.envs.batch.lanes_kernel import Lanes
 from lanebound.envs.batch.motion_kernel import MOTION, Whereabouts, begin_motion, fill_motion
 from lanebound.envs.batch.skies import Cities, Skies
@@ -32,6 +33,8 @@ from lanebound.integrity.motion.truth_kernel import TRUTH
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, Start
 from lanebound.integrity.navigators.solution import ContextReport, Solution
 from lanebound.integrity.positioning.map_matching.road_map import RoadMap
+from lanebound.integrity.sensors.effects import FaultEffects
+from lanebound.integrity.sky.view import SkyView
 
 __all__ = ["HEARD_S", "Approach", "NavigationBatch", "Starts", "draw_starts", "fixes_of"]
 
@@ -43,6 +46,7 @@ OF_CONTEXT = ContextReport._fields[:4]
 OF_SOLUTION = tuple(name for name in FIX.names or () if name not in OF_CONTEXT)
 HEARD_S = 0.6  # of the approach with the radio on: the longest delay of a message
 FLEET_SEEDS = 2**62
+HONEST = 0.0, 0.0, 0.0, 1.0  # no displacement, and the levels as they are
 SENSE_US = 4.0  # of one thread for an environment, measured
 FLEET_STARTS = 2  # draws of the others' first positions: as they enter the world, and again for their approach
 
@@ -122,6 +126,9 @@ class NavigationBatch:
     ----------
     navigator : of N M vehicles
     motions : (N, M) MOTION
+    faults : of the episodes
+    effects : of faults in the last epoch, None where none acted
+    hour : (N,) of the constellations
     sky : the skies over the egos at the last epoch
     where : the cities that they are in
     measurements, solution : of the last epoch, None before
@@ -159,7 +166,9 @@ class NavigationBatch:
         self._streams = CrewStreams([0] * n, [0] * n, self._there[:, 1:], self.skies.used[[0] * n])
         self.navigator = self._one.another(self._streams)
         self.motions: Records = np.zeros((n, m), MOTION)
-        self._hour, self._age = np.zeros((2, n), dtype=np.int64)  # age: epochs since the episode's start
+        self.faults = EpisodeFaults(n)
+        self.effects: FaultEffects | None = None
+        self.hour, self._age = np.zeros((2, n), dtype=np.int64)  # age: epochs since the episode's start
         self.where: Whereabouts = self.cities.where(np.zeros(n, dtype=np.int64))
         self.sky: SkyRows = self.skies.empty(n)
         self._index: Rows | None = None
@@ -192,12 +201,10 @@ class NavigationBatch:
         there (n, M - 1): places of the others that take part, by slot.
         """
         self._there[rows, 1:] = there
-        self._hour[rows] = starts.hour
+        self.hour[rows] = starts.hour
         self.where.city[rows] = self.cities.city_m[starts.layout]
         streams = CrewStreams(seeds, starts.fleet_seed.tolist(), there, self.skies.used[starts.hour])
-        starter = self._one.another(streams)
-        if self.count == 1:
-            starter.faults = self.navigator.faults
+        starter = self._one.another(streams)  # no fault begins before its episode
         motions = np.zeros((rows.size, self.vehicles), MOTION)
         approach = self._approach(rows, starter, motions, starts, cars)
         if np.array_equal(rows, self._kept):
@@ -206,15 +213,16 @@ class NavigationBatch:
         else:
             self._take_over(rows, starter, motions, streams, np.arange(rows.size))
         self._age[rows], self._index = 0, None
-        rk.sky_rows(0, rows.size, rows, self.skies.table, self._hour, self.clock_s, self.sky)
+        rk.sky_rows(0, rows.size, rows, self.skies.table, self.hour, self.clock_s, self.sky)
         return approach
 
     def adopt(self, rows: Rows, other: NavigationBatch, theirs: Rows) -> None:
         """Go on in the environments ``rows`` with the environments ``theirs`` of another batch."""
         self._take_over(rows, other.navigator, other.motions, other._streams, theirs)
-        self._there[rows], self._hour[rows] = other._there[theirs], other._hour[theirs]
+        self._there[rows], self.hour[rows] = other._there[theirs], other.hour[theirs]
         self._age[rows], self._index = other._age[theirs], None
         self.where.city[rows] = other.where.city[theirs]
+        self.faults.adopt(rows, other.faults, theirs)
 
     def _take_over(
         self, rows: Rows, navigator: Navigator, motions: Records, streams: CrewStreams, theirs: Rows
@@ -243,7 +251,7 @@ class NavigationBatch:
         heading, noise = motions["heading_rad"].ravel()[present], starts.noise.reshape(-1, 3)[present]
         place_all(navigator, self.config, begin.reshape(-1, 2)[present], heading, noise, present)
         sky, index = self.skies.empty(rows.size), np.where(self._there[rows], every[:, None], rows.size).ravel()
-        hour, hours = self._hour[rows], self.skies.table
+        hour, hours = self.hour[rows], self.skies.table
         for step in range(1, steps + 1):
             last = end if step == steps else None
             rk.approach_step(0, rows.size, every, motions, begin, ahead, step * self.step_s, last)
@@ -287,11 +295,12 @@ class NavigationBatch:
             rk.end_epoch(
                 first, last, rows, cars, egos, self.motions, self.lanes, self.where, self.step_s, self._down, truth
             )
-            rk.sky_rows(first, last, rows, self.skies.table, self._hour, clock_s, self.sky)
+            rk.sky_rows(first, last, rows, self.skies.table, self.hour, clock_s, self.sky)
 
         run_rows(work, rows.size, row_us=SENSE_US)
+        self.effects = self.faults.effects(clock_s, self.epoch_s, self.vehicles, self._sky_over)
         now_s = self._clock_s(self.navigator.epoch + 1 - self._epochs_at_start)
-        self.measurements = self.navigator.measure(Truth.of(now_s, self.epoch_s, truth), self.view())
+        self.measurements = self.navigator.measure(Truth.of(now_s, self.epoch_s, truth), self.view(), self.effects)
 
     def locate(self) -> None:
         """Locate all vehicles by the measurements alone."""
@@ -304,6 +313,25 @@ class NavigationBatch:
         if self._index is None:
             self._index = np.where(self._there, self._kept[:, None], self.count).ravel()
         return self.skies.view(self.sky, self._index)
+
+    def _sky_over(self, e: int) -> SkyView:
+        """The sky over the vehicles of one environment, with the numbers of its satellites."""
+        rows, index = [e, self.count], np.where(self._there[e], 0, 1)
+        return self.skies.view(SkyRows(*(part[rows] for part in self.sky)), index, int(self.hour[e]))
+
+    @property
+    def lies(self) -> Array | None:
+        """Errors of what the others broadcast (N, M - 1, 4), by slot: displacement East, North, up [m], and factor on
+        their levels; None where all are honest."""
+        if self.effects is None:
+            return None
+        others = self.effects.vehicles.reshape(self.count, self.vehicles)[:, 1:]
+        errors = np.concatenate([others["v2v_offset_enu_m"], others["v2v_pl_scale"][..., None]], axis=2)
+        return errors if (errors != HONEST).any() else None
+
+    def crew(self, row: int) -> int:
+        """How many vehicles of an environment navigate, or may once they have entered."""
+        return int(self._there[row].sum())
 
     @property
     def time_s(self) -> Array:

@@ -170,7 +170,7 @@ class PerceptionBatch:
         """One epoch of the egos ``rows`` (n,).
 
         at (n,): rows of the egos in ``fixes``, after which those of the others follow by slot; time_s (n,) of the
-        episodes; lies (C, 4): see :func:`.perception_kernel.hear`.
+        episodes; lies (N, C, 4): see :func:`.perception_kernel.hear`.
         """
         p, hears = self.pictures, self.has_radio and fixes is not None
         if not (hears or self.has_sensor):

@@ -151,8 +151,8 @@ def claim(fix, c):  # type: ignore[no-untyped-def]
 def hear(picture, radio, e, figures, time, claims, cars, u, lies):  # type: ignore[no-untyped-def]
     """One epoch of the radio to one ego: send, carry, receive.
 
-    claims (C,) CLAIM by slot; u (C + 1, 2) uniform draws; lies (C, 4): displacement East, North, up [m] and factor on
-    the levels of what each says, or None for honest vehicles. A message gets through within the range with ``P = (1 -
+    claims (C,) CLAIM by slot; u (C + 1, 2) uniform draws; lies (N, C, 4): displacement East, North, up [m] and factor
+    on the levels of what each says, or None for honest vehicles. A message gets through within the range with ``P = (1 -
     loss) (1 - (d / range)^4)``; one that takes longer than an epoch arrives in a later one, and the newer replaces one
     that would arrive with it.
     """
@@ -165,10 +165,10 @@ def hear(picture, radio, e, figures, time, claims, cars, u, lies):  # type: igno
         said.x_m, said.y_m, said.heading_rad, said.speed_mps = c.x_m, c.y_m, c.heading_rad, c.speed_mps
         said.pl_at_m, said.pl_ct_m, said.time_s = c.pl_at_m, c.pl_ct_m, time
         if lies is not None:
-            said.x_m += lies[i, 0]
-            said.y_m -= lies[i, 1]
-            said.pl_at_m *= lies[i, 3]
-            said.pl_ct_m *= lies[i, 3]
+            said.x_m += lies[e, i, 0]
+            said.y_m -= lies[e, i, 1]
+            said.pl_at_m *= lies[e, i, 3]
+            said.pl_ct_m *= lies[e, i, 3]
     if due > picture.sent:
         picture.sent = due
         for v in range(1, cars.shape[0]):

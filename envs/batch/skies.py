@@ -45,11 +45,13 @@ class Skies:
     ----------
     table : vectors to the satellites and their rates, and when each hour's sky begins
     used : (H, S) bool, places taken in that hour, by the satellites that rise in it in their order
+    prn : (H, S) numbers of the satellites in the places
     track : of the first hour; the other hours have the same systems
     """
 
     table: HourTable
     used: NDArray[np.bool_]
+    prn: Rows
     track: SkyTrack
 
     @classmethod
@@ -60,29 +62,30 @@ class Skies:
         tables = [_hour(text, knots, hour) for hour in hours]
         start = np.array([_start_s(sky, hour) for hour in hours])
         offset, rate = np.stack([offset for offset, _ in tables]), np.stack([rate for _, rate in tables])
-        some = sky.satellites().take(np.where(held[0] >= 0, held[0], _places(text, knots).max(0)))
-        track = SkyTrack(float(start[0]), STEP_S, offset[0], rate[0], float(sky.mask_rad), some.system, some.prn)
-        return cls(HourTable(offset, rate, start, STEP_S, track.mask_rad), held >= 0, track)
+        satellites, some = sky.satellites(), np.where(held >= 0, held, _places(text, knots).max(0))
+        system, prn = satellites.system[some[0]], satellites.prn[some]
+        track = SkyTrack(float(start[0]), STEP_S, offset[0], rate[0], float(sky.mask_rad), system, prn[0])
+        return cls(HourTable(offset, rate, start, STEP_S, track.mask_rad), held >= 0, prn, track)
 
     @property
     def satellites(self) -> int:
         """Number of places S."""
         return int(self.used.shape[1])
 
-    def risen(self) -> SkyTrack:
-        """The satellites that rise in the first hour alone."""
-        t, used = self.track, self.used[0]
-        return SkyTrack(t.start_s, STEP_S, self.table.offset[0][:, used], self.table.rate[0][:, used], t.mask_rad,
-                        t.system[used], t.prn[used])  # fmt: skip
+    def risen(self, hour: int) -> SkyTrack:
+        """The satellites alone that rise in an hour, the h-th of H."""
+        t, table, used = self.track, self.table, self.used[hour]
+        return SkyTrack(float(table.start[hour]), STEP_S, table.offset[hour][:, used], table.rate[hour][:, used],
+                        t.mask_rad, t.system[used], self.prn[hour, used])  # fmt: skip
 
     def empty(self, count: int) -> SkyRows:
         """Rows for N environments and one more, in which there is no satellite."""
         shape = count + 1, self.satellites
         return SkyRows(np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=np.bool_))
 
-    def view(self, sky: SkyRows, index: Rows) -> SkyView:
-        """The skies as navigators take them; ``index`` (B,): the row of each vehicle."""
-        system, prn = self.track.system, self.track.prn
+    def view(self, sky: SkyRows, index: Rows, hour: int = 0) -> SkyView:
+        """The skies as navigators take them; ``index`` (B,): the row of each vehicle, ``hour``: of the numbers."""
+        system, prn = self.track.system, self.prn[hour]
         return SkyView(sky.los, sky.elevation, sky.azimuth, NO_RANGE, NO_RANGE, sky.above, system, prn, index)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from lanebound.envs.batch.episodes import Episodes, copy_rows
 from lanebound.envs.batch.lanes_kernel import NONE, PAST_END_M
 from lanebound.envs.batch.next_lane_kernel import keep_rows
 from lanebound.envs.core import EPISODE_SEEDS, WORLD_SEEDS, DrivingEnv
-from lanebound.envs.scene import begin_all, duration_s, make_batch
+from lanebound.envs.scene import begin_all, duration_s, give_faults, make_batch
 from lanebound.envs.vector.drive_kernel import TrafficFigures
 from lanebound.envs.vector.drivers_kernel import DRIVER
 from lanebound.envs.vector.start_kernel import clear_rows, seat_rows
@@ -33,6 +34,7 @@ from lanebound.envs.vector.world_kernel import WORLD, judge_rows
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT
+from lanebound.integrity.sensors.faults import Fault
 
 __all__ = ["Engine"]
 
@@ -120,7 +122,7 @@ class Engine:
         self.speeds = np.array(inner.target_speeds if meta else [0.0, 1.0], dtype=np.float64)
         self._ranges = _direct_ranges(inner)
         self.world = self._world()
-        steps = math.ceil(duration_s(config, single.world) * config.simulation_hz) + 1
+        steps = math.ceil(self.duration_s * config.simulation_hz) + 1
         self.wander = config.wander.shapes(0, steps, 1.0 / config.simulation_hz)
         self._everyone = np.arange(count)
         self._generators: list[np.random.Generator | None] = [None] * count
@@ -128,7 +130,7 @@ class Engine:
         self.newcomers, vehicles = newcomers_of(config, self.support), self.support.vehicles(single.world)
         capacity = min(config.slots, vehicles - 1 + self.newcomers)
         if self.newcomers:  # one may enter after each decision
-            vehicles += math.ceil(duration_s(config, single.world) * config.policy_hz) + 1
+            vehicles += math.ceil(self.duration_s * config.policy_hz) + 1
         episodes = make_batch(single.world, config, count, vehicles, capacity)
         self.idm, self.before = drivers_of(self.support, single.world), self.support.before(single.world)
         self.plans = self.support.plans(single.world, episodes.table)
@@ -160,18 +162,23 @@ class Engine:
 
     def _world(self) -> Any:
         """The record of the world."""
-        inner, config = self.single.world.action_type, self.single.config
+        inner = self.single.world.action_type
         slowest, fastest = getattr(inner, "speed_range", None) or (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED)
         figures: dict[str, Any] = dict.fromkeys(WORLD.names or (), 0.0)
         figures |= {"speed_least_mps": slowest, "speed_most_mps": fastest, "end_m": -1.0}
         figures |= {"ends_x_m": math.inf, "goal_road": NONE}
-        figures |= {"episode_s": duration_s(config, self.single.world)}
+        figures |= {"episode_s": self.duration_s}
         return one_record(WORLD, **(figures | dict(self.support.ends(self.single.world))))
 
     @property
     def episodes(self) -> Episodes:
         """Beliefs and scores of the egos."""
         return self._stage.episodes
+
+    @property
+    def duration_s(self) -> float:
+        """When an episode is truncated."""
+        return duration_s(self.single.config, self.single.world)
 
     @property
     def outcome(self) -> Records:
@@ -191,8 +198,18 @@ class Engine:
 
     # An episode
 
-    def reset(self, rows: Rows, seeds: list[int | None]) -> None:
-        """Begin an episode in the environments ``rows``, each with its seed or from where its generator is."""
+    def reset(
+        self, rows: Rows, seeds: list[int | None], faults: Sequence[Sequence[Fault] | None] = ()
+    ) -> None:  # fmt: skip
+        """Begin an episode in the environments ``rows``, each with its seed or from where its generator is.
+
+        ``faults``: of each of them, in the place of the random ones unless None.
+
+        Raises
+        ------
+        InputError
+            A fault cannot act in its episode; the episodes have begun.
+        """
         follows = self._begun[rows] & np.array([seed is None for seed in seeds], dtype=np.bool_)
         first = rows[~follows]
         if first.size:
@@ -201,6 +218,9 @@ class Engine:
             self._begun[first] = True
         if first.size < rows.size:
             self._go_on(rows[follows])
+        for row, given in zip(rows.tolist(), faults, strict=False):
+            if given is not None:
+                give_faults(self.episodes, row, given, self.duration_s)
 
     def _go_on(self, rows: Rows) -> None:
         """Take the next episodes of environments, which are made ready where there is none."""
@@ -223,7 +243,7 @@ class Engine:
         episodes, seeds_of_episodes = stage.episodes, [episode for episode, _ in drawn]
         generators = [seeding.np_random(world)[0] for _, world in drawn]
         self._line_up(stage, rows, seeds_of_episodes, generators)
-        starts = begin_all(episodes, rows, seeds_of_episodes, self.newcomers)
+        starts = begin_all(episodes, rows, seeds_of_episodes, self.newcomers, self.duration_s)
         stage.turnover.begin(rows, generators, seeds_of_episodes, starts)
         speeds, speed = self.speeds, episodes.cars["speed"][rows, 0]
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])

@@ -12,11 +12,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.infos import form_of, infos_of, results
-from lanebound.envs.core import DrivingEnv
+from lanebound.envs.core import OPTIONS, DrivingEnv, faults_in
 from lanebound.envs.ids import Preset, has_engine, id_of, presets, refuse_misplaced
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.world import within_rounding
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.sensors.faults import Fault
 
 __all__ = ["VectorDrivingEnv", "engine_class", "engines"]
 
@@ -99,20 +100,32 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         Parameters
         ----------
         seed : of the first environment, the others have the following ones; or one for each, None to continue
+        options : ``reset_mask``; ``faults``, which all environments that are reset have in the place of random ones
 
         Raises
         ------
         InputError
-            Seeds or options of the wrong kind.
+            Seeds or options of the wrong kind, or a fault that cannot act in one of these episodes.
         """
-        seeds = _seeds_of(seed, self.num_envs)
-        mask = _mask_of(options, self.num_envs)
+        given = faults_in(options, (MASK, *OPTIONS))
+        return self.begin(_seeds_of(seed, self.num_envs), _mask_of(options, self.num_envs), [given] * self.num_envs)
+
+    def begin(
+        self, seeds: Sequence[int | None], mask: Flags, faults: Sequence[Sequence[Fault] | None]
+    ) -> tuple[Observations, dict[str, Any]]:  # fmt: skip
+        """:meth:`reset` in the environments of a mask (N,), with a seed and faults, or None, of each of all N.
+
+        Raises
+        ------
+        InputError
+            An environment without an episode is left out, or a fault cannot act in its episode.
+        """
         if not (mask | self._begun).all():
             first = int(np.flatnonzero(~(mask | self._begun))[0])
             raise InputError(f"options.{MASK} must name environments that have not begun, but leaves out {first}: "
                              "reset all of them first")  # fmt: skip
         rows = np.flatnonzero(mask)
-        self._restart(rows, [seeds[e] for e in rows])
+        self._restart(rows, [seeds[e] for e in rows], [faults[e] for e in rows])
         return self._observations(), infos_of(results(self.engine.outcome, mask), form_of(mask))
 
     def step(self, actions: Any) -> tuple[Observations, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
@@ -162,8 +175,12 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
 
     # Episodes
 
-    def _restart(self, rows: Rows, seeds: list[int | None]) -> None:
-        self.engine.reset(rows, seeds)
+    def _restart(
+        self, rows: Rows, seeds: list[int | None], faults: Sequence[Sequence[Fault] | None] = ()
+    ) -> None:  # fmt: skip
+        if any(faults):  # they may be refused when the episodes have begun
+            self._begun[rows] = self._all_begun = False
+        self.engine.reset(rows, seeds, faults)
         self._history[rows] = self.engine.episodes.frame[rows, None]
         self._over[rows], self._begun[rows] = False, True
         self._some_over, self._all_begun = bool(self._over.any()), bool(self._begun.all())
@@ -299,11 +316,7 @@ def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int |
 
 def _mask_of(options: dict[str, Any] | None, count: int) -> Flags:
     """Environments to reset."""
-    unknown = [key for key in options or {} if key != MASK]
-    if unknown:
-        raise InputError(f"options must hold {MASK} alone in the vector engine, got {unknown[0]!r}: "
-                         "set it in a single environment")  # fmt: skip
-    if not options:
+    if not options or MASK not in options:
         return np.ones(count, dtype=np.bool_)
     mask = np.array(options[MASK])  # infos give it back
     if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():

@@ -13,7 +13,7 @@ from lanebound.envs.batch.episodes import empty_cars
 from lanebound.envs.batch.lanes import LaneTable
 from lanebound.envs.batch.lanes_kernel import NONE
 from lanebound.envs.batch.plans import Plans
-from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
+from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.vector.crossing_kernel import APPROACH, EXIT, INSIDE, PART, WAY, Crossing
 from lanebound.envs.vector.drive_kernel import run_course, run_motorway, run_network
@@ -152,8 +152,6 @@ def require_supported(single: DrivingEnv) -> None:
 
 
 def _require_sources(config: EnvConfig) -> None:
-    if config.faults is not FaultLevel.NONE:
-        raise _refusal("faults", "'none'", config.faults.value)
     per_policy, per_epoch = config.simulation_hz // config.policy_hz, config.simulation_hz / config.navigation.rate_hz
     if per_policy % max(1, round(per_epoch)):
         raise _refusal(

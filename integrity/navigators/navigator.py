@@ -450,11 +450,13 @@ class Navigator:
             )
         return self._guard.judge(self.state.guard, with_finite(m), solution)
 
-    def measure(self, truth: Truth, sky: SkyView | None = None) -> Measurements:
+    def measure(
+        self, truth: Truth, sky: SkyView | None = None, effects: FaultEffects | None = None
+    ) -> Measurements:  # fmt: skip
         """The measurements of this epoch; nothing else reads the truth.
 
         ``sky`` holds the satellites of the track as the vehicles see them, when that is not by the truth's clock: each
-        vehicle may be at an hour of its own.
+        vehicle may be at an hour of its own. ``effects`` are those of faults by other clocks, in place of ``faults``.
 
         Raises
         ------
@@ -466,9 +468,9 @@ class Navigator:
             if self.state.area.network.areas["begun"].any():
                 raise InputError("sky must be given for vehicles that were adopted, got None: each has its own time")
             sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
-        if self.faults.faults and self.faults.active(truth.time_s):
+        if effects is None and self.faults.faults and self.faults.active(truth.time_s):
             effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)
-        else:
+        elif effects is None:
             effects = _no_effects(self.batch, sky.satellites)
         at_antenna = truth.at(*self._lever_m) if any(self._lever_m) else truth
         measured = self._instruments.sense(self.state, sky, self.mask, at_antenna, effects)

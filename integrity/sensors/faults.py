@@ -20,7 +20,7 @@ from lanebound.integrity.sensors.fault_registry import KindName, fault_kind
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["Fault", "FaultSchedule"]
+__all__ = ["Fault", "FaultSchedule", "add_effects"]
 
 Array = NDArray[np.float64]
 ROUNDING_S = 1e-6  # epochs are sums of floating-point steps
@@ -141,6 +141,14 @@ def _remedy(of: Mapping[str, Magnitude]) -> str:
     return f"give its size as {fields}" if of else "leave it out, this kind has no size"
 
 
+def add_effects(effects: FaultEffects, acting: Sequence[Fault], time_s: float, dt_s: float, sky: SkyView) -> None:
+    """Add those of faults that act on the epoch of length ``dt_s`` that ends at ``time_s``, in place."""
+    for fault in acting:
+        rows = slice(None) if fault.vehicle is None else slice(fault.vehicle, fault.vehicle + 1)
+        level, growth = fault.level(time_s), fault.growth_per_s(time_s)
+        fault.declaration.apply(effects, FaultMoment(fault, time_s, dt_s, sky, rows, level, growth))
+
+
 class FaultSchedule:
     """The faults of a run.
 
@@ -163,11 +171,13 @@ class FaultSchedule:
         if not acting:
             return FaultEffects.none(batch, sky.satellites)
         effects = FaultEffects.blank(batch, sky.satellites)
-        for fault in acting:
-            rows = slice(None) if fault.vehicle is None else slice(fault.vehicle, fault.vehicle + 1)
-            level, growth = fault.level(time_s), fault.growth_per_s(time_s)
-            fault.declaration.apply(effects, FaultMoment(fault, time_s, dt_s, sky, rows, level, growth))
+        add_effects(effects, acting, time_s, dt_s, sky)
         return effects
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First onset, and end of the last fault; (inf, -inf) without faults. No fault acts before or after it."""
+        return float(self._start_s.min(initial=np.inf)), float(self._end_s.max(initial=-np.inf)) + ROUNDING_S
 
     def active(self, time_s: float) -> list[Fault]:
         """The faults that act on the epoch that ends at ``time_s``."""

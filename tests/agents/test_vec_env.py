@@ -163,6 +163,6 @@ def test_what_it_cannot_do_is_refused() -> None:
         env.set_attr("config", None)
     with pytest.raises(InputError, match="action_masks"):
         env.env_method("render")
-    env.set_options({"faults": []})
-    with pytest.raises(InputError, match=r"options must be left out .*, got \{'faults': \[\]\}: use DummyVecEnv"):
+    env.set_options({"fault": []})
+    with pytest.raises(InputError, match=r"options must be among faults, got 'fault': correct the name"):
         env.reset()

@@ -21,6 +21,7 @@ no further and counted; :func:`require_equal` bounds the count. Any other differ
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -254,3 +255,49 @@ def require_equal(tally: Tally, parted: int = 0) -> None:
     assert max(tally.pose, tally.reward, tally.info) < CLOSE, tally
     assert tally.observation < SEEN, tally
     assert len(tally.parted) <= parted, tally.parted
+
+
+class Pairs:
+    """Single environments and an engine, started at once and driven by the same commands."""
+
+    def __init__(self, name: str, config: dict[str, Any], count: int, seed: int, tally: Tally | None = None) -> None:
+        made = make_config(f"lanebound/{name}-v0", config)
+        self.singles, self.engine = [DrivingEnv(made) for _ in range(count)], Engine(DrivingEnv(made), count)
+        self.tally, self._rng = tally or Tally(), np.random.default_rng(seed)
+        self._views: list[Any] = [None] * count
+        self.reset(np.arange(count), seed)
+
+    def reset(self, rows: Any, seed: int | None, faults: Sequence[Any] = ()) -> None:
+        """Start some of them anew, under this seed and those after it, or where their generators are.
+
+        faults: of each of them, None for random ones.
+        """
+        seeds: list[int | None] = [None if seed is None else seed + n for n in range(rows.size)]
+        given = faults or [None] * rows.size
+        self.engine.reset(rows, seeds, given)
+        for row, own, some in zip(rows.tolist(), seeds, given, strict=True):
+            options = None if some is None else {"faults": list(some)}
+            self._views[row], info = self.singles[row].reset(seed=own, options=options)
+            self.tally.begin(self.singles[row])
+            self._compare(f"{row} start", row, (0.0, False, False, info))
+
+    def step(self, count: int) -> None:
+        """Drive on by so many steps, or until the first episode is over."""
+        for n in range(count):
+            actions = [
+                command(single, newest(single, seen), self._rng)
+                for single, seen in zip(self.singles, self._views, strict=True)
+            ]
+            self.engine.step(np.array(actions))
+            over = False
+            for row, single in enumerate(self.singles):
+                self._views[row], reward, terminated, truncated, info = single.step(actions[row])
+                self._compare(f"{row} step {n}", row, (reward, terminated, truncated, info))
+                over = over or terminated or truncated
+                self.tally.steps += 1
+            if over:
+                return
+
+    def _compare(self, where: str, row: int, told: Any) -> None:
+        single = self.singles[row]
+        same(self.tally, where, self.engine, row, single, newest(single, self._views[row]), told)

@@ -138,8 +138,8 @@ def test_without_a_position_silent_without_a_level_unbounded() -> None:
 
 def test_liar_is_displaced_east_and_north_and_promises_too_much() -> None:
     street = Street(v2v=CLEAR)
-    street.lies = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
-    street.lies[0] = 5.0, -2.0, 0.0, 0.1
+    street.lies = np.tile([0.0, 0.0, 0.0, 1.0], (1, 4, 1))
+    street.lies[0, 0] = 5.0, -2.0, 0.0, 0.1
     traffic = street.step(cars_at([[0, 0], [20, 0]]))
     np.testing.assert_allclose(traffic.position_m, [[25.0, 2.0]])
     np.testing.assert_allclose([traffic.pl_at_m[0], traffic.pl_ct_m[0]], [0.1, 0.05])

@@ -191,7 +191,6 @@ def test_what_it_cannot_do_is_refused(change: dict[str, Any], message: str) -> N
             {"slots": 3},
             "world.vehicles_count must be at most slots = 3 in the vector engine, got 10: change it, or make",
         ),
-        ({"faults": "stress"}, "faults"),
     ],
 )
 def test_what_the_city_cannot_do_is_refused(change: dict[str, Any], message: str) -> None:
@@ -240,7 +239,7 @@ def test_commands_and_options_are_checked() -> None:
     engine = VectorHighway(2, SHORT)
     with pytest.raises(InputError, match="reset must come"):
         engine.step(np.zeros(2, dtype=np.int64))
-    for wrong in ({"faults": []}, {"reset_mask": np.ones(3, dtype=np.bool_)}, {"reset_mask": np.zeros(2, np.bool_)}):
+    for wrong in ({"fault": []}, {"faults": {}}, {"reset_mask": np.ones(3, dtype=np.bool_)}, {"reset_mask": np.zeros(2, np.bool_)}):
         with pytest.raises(InputError, match="options"):
             engine.reset(options=wrong)
     seeds: tuple[Any, ...] = ([1, 2, 3], [1, -1], -5, 1.5)

@@ -15,7 +15,7 @@ from lanebound.envs.registration import make_config
 from lanebound.envs.sky import cache
 from lanebound.envs.vector.engine import Engine
 from lanebound.integrity.core.errors import ConfigError
-from side_by_side import Tally, command, newest, require_equal, same
+from side_by_side import Pairs, Tally, require_equal
 
 FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
 CITY: dict[str, Any] = {
@@ -51,47 +51,6 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Intersection", {"sky": "open", "layouts": 1}, 14),
     ("Intersection", {"sky": "open", "layouts": 1, **TRUTH}, 8),
 ]
-
-
-class Pairs:
-    """Single environments and an engine, started at once and driven by the same commands."""
-
-    def __init__(self, name: str, config: dict[str, Any], count: int, seed: int, tally: Tally | None = None) -> None:
-        made = make_config(f"lanebound/{name}-v0", config)
-        self.singles, self.engine = [DrivingEnv(made) for _ in range(count)], Engine(DrivingEnv(made), count)
-        self.tally, self._rng = tally or Tally(), np.random.default_rng(seed)
-        self._views: list[Any] = [None] * count
-        self.reset(np.arange(count), seed)
-
-    def reset(self, rows: Any, seed: int | None) -> None:
-        """Start some of them anew, under this seed and those after it, or where their generators are."""
-        seeds: list[int | None] = [None if seed is None else seed + n for n in range(rows.size)]
-        self.engine.reset(rows, seeds)
-        for row, own in zip(rows.tolist(), seeds, strict=True):
-            self._views[row], info = self.singles[row].reset(seed=own)
-            self.tally.begin(self.singles[row])
-            self._compare(f"{row} start", row, (0.0, False, False, info))
-
-    def step(self, count: int) -> None:
-        """Drive on by so many steps, or until the first episode is over."""
-        for n in range(count):
-            actions = [
-                command(single, newest(single, seen), self._rng)
-                for single, seen in zip(self.singles, self._views, strict=True)
-            ]
-            self.engine.step(np.array(actions))
-            over = False
-            for row, single in enumerate(self.singles):
-                self._views[row], reward, terminated, truncated, info = single.step(actions[row])
-                self._compare(f"{row} step {n}", row, (reward, terminated, truncated, info))
-                over = over or terminated or truncated
-                self.tally.steps += 1
-            if over:
-                return
-
-    def _compare(self, where: str, row: int, told: Any) -> None:
-        single = self.singles[row]
-        same(self.tally, where, self.engine, row, single, newest(single, self._views[row]), told)
 
 
 @pytest.mark.parametrize(("name", "config", "steps"), CASES)
@@ -240,7 +199,6 @@ def test_levels_and_errors_are_those_of_navigation() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"faults": "nominal"}, "faults"),
         ({"policy_hz": 4, "navigation": {"rate_hz": 10.0}}, "policy_hz"),
     ],
 )
