@@ -15,6 +15,7 @@ from lanebound.envs.registration import make_config
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.env import VectorCarFollowing, VectorLaneKeeping
 from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.campaign import FaultPriors
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.fault_registry import fault_kinds
@@ -125,23 +126,22 @@ def test_given_faults_are_of_the_episodes_for_which_they_are_given() -> None:
 
 
 def test_the_vector_environment_takes_faults_as_single_ones_do() -> None:
-    plain, shifted = VectorLaneKeeping(2, SMALL), VectorLaneKeeping(2, SMALL)
-    shift = {"kind": "reference_coordinates", "magnitude_m": 1.5, "azimuth_deg": 0.0}
+    plain, jammed = VectorLaneKeeping(2, SMALL), VectorLaneKeeping(2, SMALL)
+    jam = {"kind": "jamming", "magnitude_db": 60.0, "duration_s": 5.0}
     plain.reset(seed=1)
-    shifted.reset(seed=1, options={"faults": [shift]})
+    jammed.reset(seed=1, options={"faults": [jam]})
     still = np.zeros((2, 2), dtype=np.float32)
-    for _ in range(3):
-        plain.step(still)
-        shifted.step(still)
-    clean, moved = (_navigation(envs.engine).fixes["position_en_m"] for envs in (plain, shifted))
-    np.testing.assert_allclose(moved - clean, [[0.0, 1.5], [0.0, 1.5]], atol=0.2)
-    twin = pickle.loads(pickle.dumps(shifted))
-    np.testing.assert_array_equal(twin.step(still)[4]["err_ct_m"], shifted.step(still)[4]["err_ct_m"])
+    assert plain.step(still)[4]["mode"].tolist() == [Mode.RTK, Mode.RTK]
+    assert jammed.step(still)[4]["mode"].tolist() == [Mode.IMU_ODOMETER, Mode.IMU_ODOMETER]
+    twin = pickle.loads(pickle.dumps(jammed))
+    found, again = jammed.step(still)[4], twin.step(still)[4]
+    np.testing.assert_array_equal(found["pl_ct_m"], again["pl_ct_m"])
+    assert again["mode"].tolist() == [Mode.IMU_ODOMETER, Mode.IMU_ODOMETER], "faults are part of what pickle keeps"
     mask = np.array([False, True])
-    shifted.reset(options={"faults": [shift], "reset_mask": mask})
-    assert [len(s.faults) for s in _navigation(shifted.engine).faults.schedules] == [1, 1]
-    shifted.reset(options={"reset_mask": mask})
-    assert [len(s.faults) for s in _navigation(shifted.engine).faults.schedules] == [1, 0]
+    jammed.reset(options={"faults": [jam], "reset_mask": mask})
+    assert [len(s.faults) for s in _navigation(jammed.engine).faults.schedules] == [1, 1]
+    jammed.reset(options={"reset_mask": mask})
+    assert [len(s.faults) for s in _navigation(jammed.engine).faults.schedules] == [1, 0]
 
 
 @pytest.mark.parametrize(
