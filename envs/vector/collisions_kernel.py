@@ -12,7 +12,7 @@ import math
 from lanebound.envs.vector.drivers_kernel import SPEED_MOST_MPS
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["collide_all", "collide_sorted"]
+__all__ = ["collide_all", "collide_ego", "collide_sorted"]
 
 SPARE_MPS = 20.0  # by which a step of full throttle may exceed the largest speed
 FIRST_BITS = 32  # a pair of vehicles in one number: the first one above, the second one below these bits
@@ -100,6 +100,15 @@ def collide_all(v, count, ego_place, dt):  # type: ignore[no-untyped-def]
         for j in range(count, v.x.shape[0]):
             if _near(v, i, j, dt, 0.5 * (diagonal + math.sqrt(v.length[j] ** 2 + v.width[j] ** 2))):
                 _hit(v, i, j, dt)
+
+
+@jit(inline=True)
+def collide_ego(v, dt):  # type: ignore[no-untyped-def]
+    """The pairs with the ego alone, which is the first in the world's list."""
+    diagonal = _diagonal(v)
+    for i in range(1, v.x.shape[0]):
+        if _near(v, 0, i, dt, diagonal):
+            collide(v, 0, i, dt)
 
 
 @jit(inline=True)

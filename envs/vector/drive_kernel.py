@@ -19,7 +19,7 @@ from lanebound.envs.batch.ego_kernel import decide, follow_road
 from lanebound.envs.batch.next_lane_kernel import keep_to_route
 from lanebound.envs.batch.records_kernel import GIVEN
 from lanebound.envs.batch.rows_kernel import carry_on
-from lanebound.envs.vector.collisions_kernel import collide_all, collide_sorted
+from lanebound.envs.vector.collisions_kernel import collide_all, collide_ego, collide_sorted
 from lanebound.envs.vector.course_kernel import drive_profiles
 from lanebound.envs.vector.crossing_kernel import give_way
 from lanebound.envs.vector.drivers_kernel import (
@@ -150,7 +150,10 @@ def _motorway(frames, v, cars, ego, motions, lanes, rules, traffic, scratch):  #
         wander_all(v, traffic.wander[min(ego.score.steps, traffic.wander.shape[0] - 1)], dt)
         drive_others(v, lanes.table, dt, slip)
         sort_along(v)
-        collide_sorted(v, dt, pairs)
+        if world.only_ego_crashes != 0:
+            collide_ego(v, dt)
+        else:
+            collide_sorted(v, dt, pairs)
         _conclude(v, cars, ego, motions, lanes, rules, traffic, frame + 1 == frames)
 
 

@@ -14,17 +14,22 @@ from lanebound.integrity.core.records import record
 __all__ = [
     "NO_REWARD",
     "OF_CROSSING",
+    "OF_EXIT",
     "OF_HIGHWAY",
     "OF_MERGE",
     "OF_ROADS",
     "OF_ROUNDABOUT",
     "OF_TRACK",
+    "OF_TURN",
+    "OF_TWO_WAY",
     "WORLD",
     "judge",
     "judge_rows",
 ]
 
-NO_REWARD, OF_HIGHWAY, OF_ROADS, OF_TRACK, OF_MERGE, OF_ROUNDABOUT, OF_CROSSING = range(7)  # kinds of rewards
+(NO_REWARD, OF_HIGHWAY, OF_ROADS, OF_TRACK, OF_MERGE, OF_ROUNDABOUT, OF_CROSSING, OF_EXIT, OF_TURN,
+ OF_TWO_WAY) = range(10)  # fmt: skip
+"""Kinds of rewards."""
 SPEEDS_BEFORE_LAST = 2.0  # of MDPVehicle.DEFAULT_TARGET_SPEEDS, whatever the speeds of the ego are
 
 WORLD = record(
@@ -35,20 +40,21 @@ WORLD = record(
     tolerance_s="by which it does so earlier, for rounding",
     off_road_ends=("i8", "1 where the wrapped world ends an episode off the road"),
     against_ends=("i8", "1 where driving against the lane ends it at once"),
+    only_ego_crashes=("i8", "1 where others drive through each other (highway-fast)"),
     end_m="before the end of the road an episode is over; negative for roads without an end",
     reward=("i8", "kind of the world's own reward"),
     collision="weight of a crash in it",
-    first="weight of progress, of the right lane, or of the middle of the lane (track)",
+    first="weight of progress, of the right lane, of the left one (two-way), or of the middle of the lane (track)",
     second="weight of the middle of the lane, of speed, or of the goal (crossing); per square metre off (track)",
-    third="weight of vehicles that merge slowly (merge)",
+    third="weight of vehicles that merge slowly (merge), or of the exit (exit)",
     merging=("i8", "lane on which they do"),
     slow_mps="speed that is worth nothing",
     fast_mps="speed that is worth all",
-    levels="target speeds less 1 that lie evenly between these two (roundabout)",
+    levels="target speeds less 1 that lie evenly between these two (roundabout, two-way)",
     normalize=("i8", "1 where the reward is brought to [0, 1]"),
     ends_x_m="the episode ends beyond this x, inf for none",
     goal_road=("i8", "road on which the goal is, NONE without a goal"),
-    exits=("i8", "lanes, by bit, on which the episode ends as far along; 0 for none"),
+    exits=("i8", "lanes, by bit, on which the episode ends as far along (crossing), or that are rewarded; 0 for none"),
     goal_m="along the lanes of that road to the goal",
 )
 
@@ -99,6 +105,14 @@ def judge(cars, drivers, ego, lanes, rules, world, start):  # type: ignore[no-un
         facts.base = _of_roundabout(wanted, ego.command.effort, crashed, world) * (1.0 if on_road else 0.0)
     elif world.reward == OF_CROSSING:
         facts.base = _of_crossing(speed, left, crashed, on_road, world)
+    elif world.reward == OF_TURN:
+        facts.base = _of_highway(lanes, lane, speed, crashed, world) * (1.0 if on_road else 0.0)
+    elif world.reward == OF_EXIT:
+        wanted = ego.belief.target_lane if rules.meta != 0 else lane
+        facts.base = _of_exit(lanes, wanted, speed, crashed, world)
+    elif world.reward == OF_TWO_WAY:
+        b = ego.belief
+        facts.base = _of_two_way(lanes, lane, b.target_lane, b.target_speed_mps, world)
 
 
 @jit(inline=True)
@@ -171,3 +185,27 @@ def _of_crossing(speed, left, crashed, on_road, world):  # type: ignore[no-untyp
     if world.normalize != 0:
         total = (total - world.collision) / (world.second - world.collision)
     return total
+
+
+@jit(inline=True)
+def _of_exit(lanes, wanted, speed, crashed, world):  # type: ignore[no-untyped-def]
+    """The reward of highway-env's ``ExitEnv``, for the lane that is wanted."""
+    fast = min(max((speed - world.slow_mps) / (world.fast_mps - world.slow_mps), 0.0), 1.0)
+    total = world.collision * (1.0 if crashed else 0.0) + world.third * ((world.exits >> wanted) & 1)
+    total += world.second * fast + world.first * lanes.table[wanted].side
+    if world.normalize != 0:
+        total = min(max((total - world.collision) / (world.third - world.collision), 0.0), 1.0)
+    return total
+
+
+@jit(inline=True)
+def _of_two_way(lanes, lane, wanted, speed, world):  # type: ignore[no-untyped-def]
+    """The reward of highway-env's ``TwoWayEnv``, for the lane and the speed that are wanted.
+
+    highway-env fails where the ego is on the road of the oncoming traffic, which has one lane; here it counts as two.
+    """
+    share = (speed - world.slow_mps) / (world.fast_mps - world.slow_mps)
+    most = max(lanes.table[lane].count - 1.0, 1.0)
+    return world.second * (round(share * world.levels) / world.levels) + world.first * (
+        (lanes.table[lane].count - 1.0 - lanes.table[wanted].side) / most
+    )

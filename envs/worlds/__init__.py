@@ -12,6 +12,7 @@ from lanebound.envs.worlds.kinds import (
     world_kind,
     world_kinds,
 )
+from lanebound.envs.worlds.straights import exit_support, turn_support, two_way_support
 from lanebound.envs.worlds.streets import CarFollowingWorld, LaneKeepingWorld, UrbanCanyonWorld
 
 __all__ = [
@@ -31,6 +32,12 @@ for _kind in (
     WorldKind("CarFollowingWorld", CarFollowingWorld, CarFollowingWorld.support),
     WorldKind("UrbanCanyonWorld", UrbanCanyonWorld, UrbanCanyonWorld.support),
     WorldKind("highway-v0", None, motorway_support),
+    WorldKind("highway-fast-v0", None, motorway_support),
+    WorldKind("exit-v0", None, exit_support),
+    WorldKind("exit-v1", None, exit_support),
+    WorldKind("two-way-v0", None, two_way_support),
+    WorldKind("u-turn-v0", None, turn_support),
+    WorldKind("u-turn-v1", None, turn_support),
     WorldKind("intersection-v0", None, intersection_support, 24, arrived=has_crossed),
     WorldKind("intersection-v1", None, intersection_support, 24, arrived=has_crossed),
     WorldKind("intersection-v2", None, intersection_support, 24, "intersection-v1", arrived=has_crossed),

@@ -1,4 +1,4 @@
-"""Support of highway-env's motorway by the vector engine: start and end of episodes."""
+"""Support of highway-env's motorways by the vector engine: start and end of episodes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
@@ -22,7 +23,7 @@ IDM_PATH = "highway_env.vehicle.behavior.IDMVehicle"
 
 
 def motorway_support() -> Support:
-    """Support of ``highway-v0`` by the vector engine."""
+    """Support of ``highway-v0`` and ``highway-fast-v0`` by the vector engine."""
     return Support(
         traffic="motorway",
         vehicles=lambda world: len(world.road.vehicles),
@@ -56,6 +57,7 @@ def _ends(world: AbstractEnv) -> Mapping[str, Any]:
         "duration_s": c["duration"], "tolerance_s": 0.0, "off_road_ends": c["offroad_terminal"], "against_ends": False,
         "end_m": -1.0, "reward": OF_HIGHWAY, "collision": c["collision_reward"], "first": c["right_lane_reward"],
         "second": c["high_speed_reward"], "slow_mps": slow, "fast_mps": fast, "normalize": c["normalize_reward"],
+        "only_ego_crashes": isinstance(world, HighwayEnvFast),
     }  # fmt: skip
 
 
