@@ -28,7 +28,7 @@ from lanebound.envs.vector.idm_kernel import (
     gap_wanted,
     wanted_speed,
 )
-from lanebound.envs.worlds.idm_parameters_kernel import BESIDE_M, WANDER_SHAPES
+from lanebound.envs.worlds.idm_parameters_kernel import BESIDE_M, STAYS, WANDER_SHAPES
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 
@@ -161,7 +161,9 @@ def decide_all(v, count, drivers, lanes, roads, places, idm, ego_has_target):  #
             continue
         v.target[i], at = following(lanes, routes, drivers[i].route, v.target[i], v.x[i], v.y[i])
         drivers[i].route = at
-        if v.lane[i] != v.target[i]:
+        if v.timer[i] == STAYS:
+            pass
+        elif v.lane[i] != v.target[i]:
             _give_up(v, count, lanes, places, i, idm, 0 if ego_has_target else 1)
         elif v.timer[i] > idm.delay_s:
             v.timer[i] = 0.0

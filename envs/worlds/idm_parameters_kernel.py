@@ -6,10 +6,11 @@ import math
 from typing import NamedTuple
 
 __all__ = ["ASKS_M", "BESIDE_M", "BRISK", "CALM", "CLEAR_S", "EXIT_M", "GAP_S", "LINE_BRAKE_MPS2", "LINE_M", "LINE_S",
-           "REACTION_S", "SLOW_MPS", "START_MPS2", "WANDER_MOST_M", "WANDER_SHAPES", "WANDER_SLOPE", "IdmParameters",
-           "idm_parameters"]  # fmt: skip
+           "REACTION_S", "SLOW_MPS", "START_MPS2", "STAYS", "WANDER_MOST_M", "WANDER_SHAPES", "WANDER_SLOPE",
+           "IdmParameters", "idm_parameters"]  # fmt: skip
 
 BESIDE_M = 1.0  # margin beside a lane within which a vehicle counts as a neighbour on it, Road.neighbour_vehicles
+STAYS = -math.inf  # timer of lane changes of a driver without any, IDMVehicle.enable_lane_change
 
 
 class IdmParameters(NamedTuple):

@@ -8,6 +8,8 @@ import numpy as np
 from highway_env.road.lane import AbstractLane
 from numpy.typing import NDArray
 
+from lanebound.envs.worlds.idm_parameters_kernel import STAYS
+
 if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
     from lanebound.integrity.core.records import Records
@@ -31,7 +33,7 @@ def put(
     car["x"], car["y"], car["heading"], car["speed"] = x, y, heading, speed
     car["lane"] = driver["target"] = nearest(table.lanes, x, y, float(heading))
     driver["target_speed"], driver["delta"] = speed if target is None else target, exponent
-    driver["timer"] = -np.inf if stays else (np.sum([x, y]) * np.pi) % delay_s
+    driver["timer"] = STAYS if stays else (np.sum([x, y]) * np.pi) % delay_s
 
 
 def put_on_lane(
