@@ -22,7 +22,8 @@ from lanebound.envs.batch.infos import NAMES, single_info
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import faults_in
 from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
-from lanebound.envs.vector.env import engines
+from lanebound.envs.vector.env import VectorDrivingEnv, WrappedVectorEnv, engines
+from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
@@ -39,7 +40,7 @@ class EngineVecEnv(VecEnv):
 
     Parameters
     ----------
-    env_id, num_envs, config : as for ``gymnasium.make_vec``
+    env_id, num_envs, config : as for ``gymnasium.make_vec``, or as for :func:`~lanebound.envs.wrap_vec`
     keys : entries of ``info`` wanted at every step
     statistics : whether the end of an episode also has ``episode_integrity``, as
         :class:`~lanebound.envs.wrappers.EpisodeStatistics` has it for single environments
@@ -61,7 +62,8 @@ class EngineVecEnv(VecEnv):
         statistics: bool = False,
     ) -> None:
         driven = engines()
-        if env_id not in driven:
+        wrapped = env_id not in IDS and (kind := world_kind(env_id)) is not None and kind.support is not None
+        if env_id not in driven and not wrapped:
             if env_id not in IDS:
                 raise InputError(f"env_id '{env_id}' is unknown: {nearest(env_id, driven)}")
             raise InputError(
@@ -73,7 +75,10 @@ class EngineVecEnv(VecEnv):
         for key in keys:
             if key not in NAMES:
                 raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, NAMES)}")
-        self.envs = driven[env_id](num_envs, config, AutoresetMode.SAME_STEP)
+        if wrapped:
+            self.envs: VectorDrivingEnv = WrappedVectorEnv(env_id, num_envs, config, AutoresetMode.SAME_STEP)
+        else:
+            self.envs = driven[env_id](num_envs, config, AutoresetMode.SAME_STEP)
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
         self.arrays: dict[str, Any] = {}
         self._keys = tuple(keys)

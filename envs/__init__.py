@@ -13,8 +13,8 @@ Gymnasium imports it by itself when an id names it: ``gymnasium.make("lanebound.
 
 from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.registration import IDS, make_config, register_all, wrap
+from lanebound.envs.registration import IDS, make_config, register_all, wrap, wrap_vec
 
-__all__ = ["IDS", "ActionKind", "DrivingEnv", "EnvConfig", "FaultLevel", "make_config", "wrap"]
+__all__ = ["IDS", "ActionKind", "DrivingEnv", "EnvConfig", "FaultLevel", "make_config", "wrap", "wrap_vec"]
 
 register_all()

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from gymnasium.vector import AutoresetMode, VectorEnv
+
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.ids import CLASSES, CONTINUOUS, IDS, META, enter
@@ -12,7 +14,9 @@ from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["IDS", "base_of", "make_config", "register_all", "wrap"]
+__all__ = ["IDS", "base_of", "make_config", "register_all", "wrap", "wrap_vec"]
+
+NEXT_STEP = AutoresetMode.NEXT_STEP
 
 
 def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvConfig:
@@ -52,6 +56,24 @@ def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str 
     if kind is None:
         raise ConfigError(f"env_id must be driven by one agent, got {env_id!r} with {defaults['action']['type']}")
     return DrivingEnv(EnvConfig.build({"base": env_id, **kind}, config), render_mode)
+
+
+def wrap_vec(
+    env_id: str, num_envs: int, config: Mapping[str, Any] | None = None, autoreset_mode: AutoresetMode | str = NEXT_STEP
+) -> VectorEnv[Any, Any, Any]:
+    """N times :func:`wrap` in the vector engine; ``num_envs`` and ``autoreset_mode`` as for ``gymnasium.make_vec``.
+
+    >>> wrap_vec("two-way-v0", 2, {"sky": "open"}).num_envs
+    2
+
+    Raises
+    ------
+    ConfigError
+        As :func:`wrap`; or the engine does not drive this id or configuration, with the ids that it does.
+    """
+    from lanebound.envs.vector.env import WrappedVectorEnv
+
+    return WrappedVectorEnv(env_id, num_envs, config, autoreset_mode)
 
 
 def register_all() -> None:

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from lanebound.envs.batch.infos import form_of, infos_of, results
 from lanebound.envs.core import OPTIONS, DrivingEnv, faults_in
 from lanebound.envs.ids import Preset, has_engine, id_of, presets, refuse_misplaced
+from lanebound.envs.registration import wrap
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.world import within_rounding
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
-__all__ = ["VectorDrivingEnv", "engine_class", "engines"]
+__all__ = ["VectorDrivingEnv", "WrappedVectorEnv", "engine_class", "engines"]
 
 Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -72,7 +73,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             raise InputError(f"num_envs must be a positive int, got {num_envs!r}: give 1 or more")
         if render_mode is not None:
             raise InputError(f"render_mode must be None, got {render_mode!r}: draw pictures of a single environment")
-        single = self.KIND(config)
+        single = self._single(config)
         self.num_envs, self.config, self.render_mode = int(num_envs), single.config, None
         self.mode = _mode_of(autoreset_mode)
         self.metadata = {"render_modes": [], "render_fps": single.config.policy_hz, "autoreset_mode": self.mode}
@@ -89,6 +90,10 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
         self._begun = np.zeros(self.num_envs, dtype=np.bool_)
         self._some_over, self._all_begun = False, False
+
+    def _single(self, config: Mapping[str, Any] | None) -> DrivingEnv:
+        """One environment of the configuration."""
+        return self.KIND(config)
 
     # Gymnasium
 
@@ -239,6 +244,23 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             remedy = "clip it" if np.isfinite(given[e]).all() else "check the policy for NaN"
             raise InputError(f"actions[{e}] must lie in {self.single_action_space}, got {given[e]}: {remedy}")
         return commands
+
+
+class WrappedVectorEnv(VectorDrivingEnv):
+    """N environments of an id of highway-env, as :func:`~lanebound.envs.wrap` makes one; see :func:`~lanebound.envs.wrap_vec`."""
+
+    def __init__(
+        self,
+        env_id: str,
+        num_envs: int = 1,
+        config: Mapping[str, Any] | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        self.env_id = env_id
+        super().__init__(num_envs, config, autoreset_mode)
+
+    def _single(self, config: Mapping[str, Any] | None) -> DrivingEnv:
+        return wrap(self.env_id, config)
 
 
 _classes: dict[type[Preset], type[VectorDrivingEnv]] = {}

@@ -19,8 +19,10 @@ from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs.episode_totals import EPISODE_KEY
 from lanebound.envs.ids import META, Preset, register_id
 from lanebound.envs.observation import entries
+from lanebound.envs.registration import wrap
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.positioning.modes import Mode
 
 CONFIG: dict[str, Any] = {
     "navigation": {"source": "perfect"},
@@ -145,13 +147,44 @@ def test_episodes_are_those_of_vec_monitor() -> None:
     assert ends >= 3
 
 
-def test_what_it_cannot_do_is_refused() -> None:
-    class TwoWay(Preset):
-        PRESET: ClassVar[Mapping[str, Any]] = {"base": "two-way-v0", **META}
+def test_each_environment_takes_faults_of_its_own() -> None:
+    """As a dummy of single environments does; they count for one episode."""
+    config = {"sky": "open", "layouts": 1, "duration_s": 1.0}
+    engine = EngineVecEnv("lanebound/LaneKeeping-v0", 2, config, keys=("mode", "pl_ct_m"))
+    single = DummyVecEnv([lambda: gymnasium.make("lanebound/LaneKeeping-v0", config=config) for _ in range(2)])
+    for env in (engine, single):
+        env.seed(4)
+        env.set_options([{}, {"faults": [{"kind": "jamming", "magnitude_db": 60.0}]}])
+        env.reset()
+    modes = []
+    for _ in range(8):
+        _, _, over, infos = engine.step(np.zeros((2, 2), dtype=np.float32))
+        infos_too = single.step(np.zeros((2, 2), dtype=np.float32))[3]
+        for info, info_too in zip(infos, infos_too, strict=True):
+            assert info["mode"] == info_too["mode"]
+            assert info["pl_ct_m"] == pytest.approx(info_too["pl_ct_m"], abs=1e-9)
+        modes.append([info["mode"] for info in infos])
+    assert modes[0] == [Mode.RTK, Mode.IMU_ODOMETER]
+    assert modes[-1] == [Mode.RTK, Mode.RTK]
 
-    register_id(TwoWay)
+
+def test_an_id_of_highway_env_is_wrapped() -> None:
+    engine = EngineVecEnv("u-turn-v0", 2, CONFIG | {"world": {}})
+    single = DummyVecEnv([lambda: wrap("u-turn-v0", CONFIG | {"world": {}})] * 2)
+    for env in (engine, single):
+        env.seed(4)
+    first, wanted = engine.reset(), single.reset()
+    for group in wanted:
+        np.testing.assert_allclose(first[group], wanted[group], atol=1e-6)
+
+
+def test_what_it_cannot_do_is_refused() -> None:
+    class LongMerge(Preset):
+        PRESET: ClassVar[Mapping[str, Any]] = {"base": "merge-generic-v0", **META}
+
+    register_id(LongMerge)
     with pytest.raises(InputError, match="SubprocVecEnv"):
-        EngineVecEnv("lanebound/TwoWay-v0", 2)
+        EngineVecEnv("lanebound/LongMerge-v0", 2)
     with pytest.raises(InputError, match="env_id 'LaneKeping' is unknown: did you mean 'lanebound/LaneKeeping-v0'"):
         EngineVecEnv("LaneKeping", 2)
     with pytest.raises(InputError, match="'costs': did you mean 'cost'"):

@@ -56,11 +56,11 @@ def test_what_the_filter_changes_costs_reward_in_training_alone() -> None:
 
 
 def test_an_engine_where_there_is_none_is_refused_in_the_words_of_an_experiment() -> None:
-    class TwoWay(Preset):
-        PRESET: ClassVar[Mapping[str, Any]] = {"base": "two-way-v0", **META}
+    class LongMerge(Preset):
+        PRESET: ClassVar[Mapping[str, Any]] = {"base": "merge-generic-v0", **META}
 
-    register_id(TwoWay)
+    register_id(LongMerge)
     with pytest.raises(
-        ConfigError, match=r"^engine must be left out for TwoWay-v0, got true: the vector engine supports .*Highway"
+        ConfigError, match=r"^engine must be left out for LongMerge-v0, got true: the vector engine supports .*Highway"
     ):
-        for_judging(experiment(env="TwoWay", engine=True), 1)
+        for_judging(experiment(env="LongMerge", engine=True), 1)

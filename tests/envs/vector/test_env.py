@@ -165,8 +165,8 @@ def test_drivers_that_something_has_rewritten_are_refused(monkeypatch: pytest.Mo
     ("change", "message"),
     [
         ({"world": {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}}, "other_vehicles_type"),
-        ({"base": "two-way-v0"}, "base"),
-        ({"base": "two-way-v0", "world": {}}, "sync"),
+        ({"base": "merge-generic-v0"}, "base"),
+        ({"base": "merge-generic-v0", "world": {}}, "sync"),
         ({"slots": 3}, "slots"),
         ({"action": "continuous", "action_options": {"dynamical": True}}, "dynamical"),
         ({"simulation_hz": 20, "policy_hz": 4, "navigation": {"source": "perfect", "rate_hz": 2.5}}, "policy_hz"),
@@ -218,12 +218,12 @@ def test_the_default_configuration_has_an_engine(name: str, seconds: float) -> N
 
 
 def test_an_id_without_an_engine_says_so() -> None:
-    class TwoWay(Preset):
-        PRESET: ClassVar[Mapping[str, Any]] = {"base": "two-way-v0", **META}
+    class LongMerge(Preset):
+        PRESET: ClassVar[Mapping[str, Any]] = {"base": "merge-generic-v0", **META}
 
-    register_id(TwoWay)
+    register_id(LongMerge)
     with pytest.raises(gymnasium.error.Error, match="vector entry point"):
-        gymnasium.make_vec("lanebound/TwoWay-v0", 2, vectorization_mode="vector_entry_point")
+        gymnasium.make_vec("lanebound/LongMerge-v0", 2, vectorization_mode="vector_entry_point")
 
 
 @pytest.mark.parametrize(
