@@ -27,7 +27,7 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.risk import upper_quantile
 from lanebound.integrity.navigators.navigator import NavigatorConfig
-from lanebound.integrity.sensors.campaign import random_campaign
+from lanebound.integrity.sensors.campaign import FaultPriors, random_campaign
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 
 __all__ = ["MAP_SHARE", "EpisodeContext", "alert_limits_m", "begin_all", "duration_s", "give_faults", "make_batch",
@@ -118,8 +118,9 @@ def begin_all(
         starts = draw_starts(seeds, config.layouts, HOURS, navigating, config.navigation.source.uses_sensors)
     episodes.begin(rows, seeds, starts, crew)
     if navigation is not None:
+        priors = config.faults.priors
         for row, others, seed in zip(rows.tolist(), slots.tolist(), seeds, strict=True):
-            _put(navigation, row, config, _campaign(navigation, row, config, duration_s, others, seed))
+            _put(navigation, row, config, _campaign(navigation, row, priors, duration_s, others, seed))
     return starts
 
 
@@ -189,7 +190,7 @@ def set_scene(
     if faults is not None:
         give_faults(episodes, 0, faults, ends_s)
     elif navigation is not None:
-        _put(navigation, 0, config, _campaign(navigation, 0, config, ends_s, capacity, seed))
+        _put(navigation, 0, config, _campaign(navigation, 0, config.faults.priors, ends_s, capacity, seed))
     here = np.zeros(1, dtype=np.int64)
     return EpisodeContext(street, episodes, seed, starts._replace(layout=here, hour=here))
 
@@ -242,10 +243,9 @@ def _require_effect(
 
 
 def _campaign(
-    navigation: NavigationBatch, row: int, config: EnvConfig, duration_s: float, others: int, seed: int
+    navigation: NavigationBatch, row: int, priors: FaultPriors | None, duration_s: float, others: int, seed: int
 ) -> tuple[Fault, ...]:
     """The random faults of an episode: of what all share, of the ego (row 0) and of the other slots (1 and up)."""
-    priors = config.faults.priors
     if priors is None:
         return ()
     track = navigation.skies.risen(int(navigation.hour[row]))
