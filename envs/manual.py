@@ -136,9 +136,10 @@ A kind of your own is a `FaultKind` (`lanebound.integrity.sensors.fault_kinds`),
 ## Many environments at once
 
 `gymnasium.make_vec(id, num_envs=N, config={...})` steps N environments in compiled code where the table above says so.
-With seed s, environment i behaves as a single environment with seed s + i. Faults and rendering need single
-environments (`vectorization_mode="sync"` or `"async"`). Options that the engine does not support are refused with a
-message.
+With seed s, environment i behaves as a single environment with seed s + i, with the same random faults. Faults of
+`reset(options={"faults": [...]})` are those of all environments that are reset; with `"reset_mask"` they are those of
+some. Rendering needs single environments (`vectorization_mode="sync"` or `"async"`). Options that the engine does not
+support are refused with a message.
 [Training](training.md#many-environments-at-once) describes reset modes and Stable-Baselines3.
 
 Given the same poses of all vehicles, observations, rewards, costs and infos have equal bits (the term `base` of
@@ -183,6 +184,19 @@ Discrete(5)
 ```
 
 Its `cost_limit` is the default of 10. Worlds without lanes (parking) or with several agents are refused.
+
+`lanebound.envs.wrap_vec(id, N, config)` makes N of them in the vector engine, with the same results. It drives
+the ids `highway`, `highway-fast`, `exit`, `two-way` (with evenly spaced target speeds), `u-turn`, `merge`,
+`roundabout`, `intersection`, `racetrack` and `racetrack-large` in all their versions, and refuses the others.
+
+```pycon
+>>> envs = lanebound.envs.wrap_vec("two-way-v0", 3, {"sky": "open"})
+>>> observations, infos = envs.reset(seed=1)
+>>> infos["pl_ct_m"].shape
+(3,)
+>>> envs.close()
+
+```
 
 ## Rendering
 

@@ -152,9 +152,9 @@ def hear(picture, radio, e, figures, time, claims, cars, u, lies):  # type: igno
     """One epoch of the radio to one ego: send, carry, receive.
 
     claims (C,) CLAIM by slot; u (C + 1, 2) uniform draws; lies (N, C, 4): displacement East, North, up [m] and factor
-    on the levels of what each says, or None for honest vehicles. A message gets through within the range with ``P = (1 -
-    loss) (1 - (d / range)^4)``; one that takes longer than an epoch arrives in a later one, and the newer replaces one
-    that would arrive with it.
+    on the levels of what each says, or None for honest vehicles. A message gets through within the range with ``P =
+    (1 - loss) (1 - (d / range)^4)``; one that takes longer than an epoch arrives in a later one, and the newer replaces
+    one that would arrive with it.
     """
     slots, count = radio.arriving.shape[1:]
     picture.epoch += 1

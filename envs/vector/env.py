@@ -247,7 +247,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
 
 
 class WrappedVectorEnv(VectorDrivingEnv):
-    """N environments of an id of highway-env, as :func:`~lanebound.envs.wrap` makes one; see :func:`~lanebound.envs.wrap_vec`."""
+    """N environments of an id of highway-env, as :func:`~lanebound.envs.wrap` makes one; ``wrap_vec`` makes this."""
 
     def __init__(
         self,

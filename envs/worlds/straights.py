@@ -1,4 +1,4 @@
-"""Support of highway-env's straight roads by the vector engine: an exit, a two-way road, a U-turn between two straights.
+"""Support of highway-env's straight roads by the vector engine: an exit, a two-way road, a U-turn between two.
 
 Each starter makes the random draws of its world in the same order, so that a seed gives the same traffic.
 """

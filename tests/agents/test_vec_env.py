@@ -158,7 +158,7 @@ def test_each_environment_takes_faults_of_its_own() -> None:
         env.reset()
     modes = []
     for _ in range(8):
-        _, _, over, infos = engine.step(np.zeros((2, 2), dtype=np.float32))
+        infos = engine.step(np.zeros((2, 2), dtype=np.float32))[3]
         infos_too = single.step(np.zeros((2, 2), dtype=np.float32))[3]
         for info, info_too in zip(infos, infos_too, strict=True):
             assert info["mode"] == info_too["mode"]

@@ -239,7 +239,8 @@ def test_commands_and_options_are_checked() -> None:
     engine = VectorHighway(2, SHORT)
     with pytest.raises(InputError, match="reset must come"):
         engine.step(np.zeros(2, dtype=np.int64))
-    for wrong in ({"fault": []}, {"faults": {}}, {"reset_mask": np.ones(3, dtype=np.bool_)}, {"reset_mask": np.zeros(2, np.bool_)}):
+    masks = np.ones(3, dtype=np.bool_), np.zeros(2, np.bool_)
+    for wrong in ({"fault": []}, {"faults": {}}, *({"reset_mask": mask} for mask in masks)):
         with pytest.raises(InputError, match="options"):
             engine.reset(options=wrong)
     seeds: tuple[Any, ...] = ([1, 2, 3], [1, -1], -5, 1.5)

@@ -94,7 +94,7 @@ def test_random_faults_are_those_of_single_environments(
     for rows in ([1], [0, 2], [1, 2], [2], [0, 1, 2]):
         navigation = _navigation(pairs.engine)
         for row, single in enumerate(pairs.singles):
-            drawn, = _navigation(single).faults.schedules
+            (drawn,) = _navigation(single).faults.schedules
             assert navigation.faults.schedules[row].faults == drawn.faults
             some.append(len(drawn.faults))
         pairs.step(3)
