@@ -316,8 +316,9 @@ class NavigationBatch:
 
     def _sky_over(self, e: int) -> SkyView:
         """The sky over the vehicles of one environment, with the numbers of its satellites."""
-        rows, index = [e, self.count], np.where(self._there[e], 0, 1)
-        return self.skies.view(SkyRows(*(part[rows] for part in self.sky)), index, int(self.hour[e]))
+        rows, index, s = [e, self.count], np.where(self._there[e], 0, 1), self.sky
+        own = SkyRows(s.los[rows], s.elevation[rows], s.azimuth[rows], s.above[rows])
+        return self.skies.view(own, index, int(self.hour[e]))
 
     @property
     def lies(self) -> Array | None:

@@ -130,7 +130,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             raise InputError(f"options.{MASK} must name environments that have not begun, but leaves out {first}: "
                              "reset all of them first")  # fmt: skip
         rows = np.flatnonzero(mask)
-        self._restart(rows, [seeds[e] for e in rows], [faults[e] for e in rows])
+        self._restart(rows, [seeds[e] for e in rows.tolist()], [faults[e] for e in rows.tolist()])
         return self._observations(), infos_of(results(self.engine.outcome, mask), form_of(mask))
 
     def step(self, actions: Any) -> tuple[Observations, NDArray[np.float64], Flags, Flags, dict[str, Any]]:

@@ -8,8 +8,6 @@ import numpy as np
 from highway_env.road.lane import AbstractLane
 from numpy.typing import NDArray
 
-from lanebound.envs.worlds.idm_parameters_kernel import STAYS
-
 if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
     from lanebound.integrity.core.records import Records
@@ -19,13 +17,12 @@ __all__ = ["close_up", "put", "put_on_lane"]
 
 def put(
     car: Any, driver: Any, table: LaneTable, position: NDArray[np.float64], heading: float, speed: float,
-    target: float | None = None, exponent: float = 4.0, delay_s: float = 1.0, stays: bool = False,
+    target: float | None = None, exponent: float = 4.0, delay_s: float = 1.0,
 ) -> None:  # fmt: skip
     """Fill CAR and DRIVER of a vehicle, whose lane is the nearest one.
 
     target : speed that it wants, its own by default
     exponent, delay_s : of ``IDMVehicle``: of its acceleration, and between decisions on lane changes
-    stays : it never considers a lane change: ``enable_lane_change`` of ``IDMVehicle`` is False
     """
     from lanebound.envs.batch.lanes_kernel import nearest
 
@@ -33,15 +30,14 @@ def put(
     car["x"], car["y"], car["heading"], car["speed"] = x, y, heading, speed
     car["lane"] = driver["target"] = nearest(table.lanes, x, y, float(heading))
     driver["target_speed"], driver["delta"] = speed if target is None else target, exponent
-    driver["timer"] = STAYS if stays else (np.sum([x, y]) * np.pi) % delay_s
+    driver["timer"] = (np.sum([x, y]) * np.pi) % delay_s
 
 
 def put_on_lane(
-    car: Any, driver: Any, table: LaneTable, lane: AbstractLane, along_m: float, speed: float, *rest: float,
-    stays: bool = False,
-) -> None:  # fmt: skip
+    car: Any, driver: Any, table: LaneTable, lane: AbstractLane, along_m: float, speed: float, *rest: float
+) -> None:
     """:func:`put` in the middle of a lane."""
-    put(car, driver, table, lane.position(along_m, 0.0), float(lane.heading_at(along_m)), speed, *rest, stays=stays)
+    put(car, driver, table, lane.position(along_m, 0.0), float(lane.heading_at(along_m)), speed, *rest)
 
 
 def close_up(cars: Records, drivers: Records, keep: NDArray[np.bool_]) -> int:

@@ -15,6 +15,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
 from lanebound.envs.worlds.highway import only_idm
+from lanebound.envs.worlds.idm_parameters_kernel import STAYS
 from lanebound.envs.worlds.kinds import Refusal, Starter, Support
 from lanebound.envs.worlds.seating import put, put_on_lane
 
@@ -69,8 +70,8 @@ def _before_exit(world: AbstractEnv, table: LaneTable) -> Starter:
             side = int(rng.choice(lanes, size=1, p=lanes / lanes.sum())[0])
             lane = network.get_lane((*FIRST, side))
             along += spacing * (PLACE_M + lane.speed_limit) * packed * rng.uniform(0.9, 1.1)
-            put_on_lane(cars[i], drivers[i], table, lane, along, lane.speed_limit, stays=True)
-            drivers[i]["route"] = plans.at(int(cars["lane"][i]), LAST)
+            put_on_lane(cars[i], drivers[i], table, lane, along, lane.speed_limit)
+            drivers[i]["route"], drivers[i]["timer"] = plans.at(int(cars["lane"][i]), LAST), STAYS
         return 1 + count
 
     return start
@@ -114,7 +115,8 @@ def _on_two_ways(world: AbstractEnv, table: LaneTable) -> Starter:
                 along = station + 10.0 * rng.normal()
                 speed = mean + spread * rng.normal()
                 heading = float(lane.heading_at(station))
-                put(cars[i], drivers[i], table, lane.position(along, 0.0), heading, speed, stays=True)
+                put(cars[i], drivers[i], table, lane.position(along, 0.0), heading, speed)
+                drivers[i]["timer"] = STAYS
                 i += 1
         return i
 
