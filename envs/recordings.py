@@ -29,7 +29,7 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.kernel_cache import cache_root
 from lanebound.integrity.core.records import Records
 
-__all__ = ["AWAY_M", "epochs_of", "recordings_of"]
+__all__ = ["AWAY_M", "EPISODES", "epochs_of", "recordings_of"]
 
 LOGGER = logging.getLogger("lanebound")
 EPISODES = 64  # recorded: sixteen in each of four cities, at hours of their own

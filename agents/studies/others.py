@@ -1,8 +1,8 @@
 """Whether other vehicles that speak with recorded errors can be told from those that navigate.
 
-Both drive the same traffic, without an ego. Those that navigate do so in cities that were not recorded. Vehicles of an
-episode share atmosphere, reference station and outages, so episodes are what tests exchange: a p-value is the share of
-random exchanges of whole episodes between the two kinds in which they differ at least as much.
+Both drive traffic of the same kind, without an ego. Those that navigate do so in cities that were not recorded.
+Vehicles of an episode share atmosphere, reference station and outages, so episodes are what tests exchange: a p-value
+is the share of random exchanges of whole episodes between the two kinds in which they differ at least as much.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import EPISODE_SEEDS, DrivingEnv
-from lanebound.envs.recordings import AWAY_M, epochs_of
+from lanebound.envs.recordings import AWAY_M, EPISODES, epochs_of
 from lanebound.envs.vector.recorder import Recorder
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.records import Records
@@ -35,7 +35,7 @@ LAGS_S = (0.5, 2.0)
 class OthersConfig(Config):
     """What is compared."""
 
-    episodes: int = Field(64, ge=8, description="episodes of each kind")
+    episodes: int = Field(EPISODES, ge=8, le=EPISODES, description="episodes of each kind")
     seed: int = Field(0, ge=0, description="seeds are drawn from it")
     exchanges: int = Field(999, ge=99, description="random exchanges of a test")
 
@@ -50,13 +50,11 @@ def assess_others(config: OthersConfig, env: EnvConfig, out: Path) -> dict[str, 
     """
     full = env.replace(perception={"source": "v2v", "others": "full"}, layouts=2 * env.layouts)
     surrogate = env.replace(perception={"source": "v2v", "others": "surrogate"})
-    seeds = _in_new_cities(env.layouts, config.episodes, config.seed)
-    said = {name: _notes(kind, seeds) for name, kind in (("full", full), ("surrogate", surrogate))}
-    rng = named_generator(config.seed, "others")
-    hz = env.navigation.rate_hz
-    tests = _marginals() | {
-        f"autocorrelation of the error across, {lag:g} s": _autocorrelation(lag, hz) for lag in LAGS_S
-    }
+    new, count = _in_new_cities(env.layouts, config.episodes, config.seed), config.episodes
+    said = {"full": _notes(full, new), "surrogate": _notes(surrogate, _of_each_recording(count, config.seed))}
+    rng, hz = named_generator(config.seed, "others"), env.navigation.rate_hz
+    later = {f"autocorrelation of the error across, {lag:g} s": _autocorrelation(lag, hz) for lag in LAGS_S}
+    tests = {**_marginals(), "spread of episodes' mean log level across": _shared, **later}
     found = {name: test(said["full"], said["surrogate"], config.exchanges, rng) for name, test in tests.items()}
     result = {"config": config.to_dict(), "env": env.to_dict(), "tests": found}
     out.mkdir(parents=True, exist_ok=True)
@@ -74,6 +72,17 @@ def _in_new_cities(layouts: int, count: int, seed: int) -> list[int]:
         if len(found) == count:
             break
     return found
+
+
+def _of_each_recording(count: int, seed: int) -> list[int]:
+    """Seeds of episodes in which the others speak as in different recorded ones: else some would count twice."""
+    found: dict[int, int] = {}
+    for one in range(seed * 10**6, (seed + 1) * 10**6):
+        episode = int(seeding.np_random(one)[0].integers(EPISODE_SEEDS))
+        found.setdefault(int(named_generator(episode, "others").integers(EPISODES)), one)
+        if len(found) >= count:
+            break
+    return list(found.values())
 
 
 def _notes(env: EnvConfig, seeds: Sequence[int]) -> Records:
@@ -98,17 +107,17 @@ def _marginals() -> dict[str, Any]:
         "error over level, across": lambda s: np.abs(s["across_m"]) / np.minimum(s["pl_ct_m"], NO_LEVEL_M),
     }
     shares: dict[str, Callable[[Records], Array]] = {
-        "share of errors beyond a level": lambda s: (
-            (np.abs(s["along_m"]) > s["pl_at_m"]) | (np.abs(s["across_m"]) > s["pl_ct_m"])
-        ),
+        "share of errors beyond a level": _beyond,
         "share of levels across over 1 m": lambda s: s["pl_ct_m"] > 1.0,
         "share of silent vehicles": lambda s: s["sends"] == 0,
     }
-    return (
-        {name: _marginal(of) for name, of in quantities.items()}
-        | {name: _share(of) for name, of in shares.items()}
-        | {"spread of episodes' mean log level across": _shared}
-    )
+    of_all: dict[str, Any] = {name: _marginal(of) for name, of in quantities.items()}
+    return of_all | {name: _share(of) for name, of in shares.items()}
+
+
+def _beyond(said: Records) -> Array:
+    """Whether an error exceeds its level."""
+    return np.asarray((np.abs(said["along_m"]) > said["pl_at_m"]) | (np.abs(said["across_m"]) > said["pl_ct_m"]))
 
 
 def _marginal(quantity: Callable[[Records], Array]) -> Any:
