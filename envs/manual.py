@@ -88,7 +88,7 @@ signals of all vehicles, under every sky; by default there is none ([signals](re
 
 | source | measurements |
 |---|---|
-| `v2v` | each vehicle has a navigator of its own (`perception.others`) and broadcasts estimated pose, speed and levels |
+| `v2v` | each vehicle has a navigator of its own (`perception.others`) and broadcasts its estimated pose and levels |
 | `sensor` | an ego sensor measures vehicles within 80 m that no other vehicle hides |
 | `both` | the newest of the two measurements of each vehicle; if they are equally old, that of the sensor |
 | `truth` | true poses without delay |

@@ -19,6 +19,7 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
+from gymnasium.utils import seeding
 from highway_env.envs.common.abstract import AbstractEnv
 
 import lanebound.envs
@@ -28,8 +29,9 @@ from lanebound.envs.config import EnvConfig
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.kernel_cache import cache_root
 from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.streams import named_generator
 
-__all__ = ["AWAY_M", "EPISODES", "epochs_of", "recordings_of"]
+__all__ = ["AWAY_M", "EPISODES", "SEED", "city_of", "epochs_of", "recordings_of"]
 
 LOGGER = logging.getLogger("lanebound")
 EPISODES = 64  # recorded: sixteen in each of four cities, at hours of their own
@@ -95,6 +97,14 @@ def record(config: EnvConfig, seeds: Sequence[int]) -> Recordings:
     return _recordings_in(recorder.record(list(seeds), epochs_of(config, single.world)))
 
 
+def city_of(seed: int, cities: int) -> int:
+    """Which of so many cities the episode of a seed takes place in."""
+    from lanebound.envs.core import EPISODE_SEEDS
+
+    episode = int(seeding.np_random(seed)[0].integers(EPISODE_SEEDS))
+    return int(named_generator(episode, "scene").integers(cities))
+
+
 def epochs_of(config: EnvConfig, world: AbstractEnv) -> int:
     """Navigation epochs of an episode."""
     from lanebound.envs.scene import duration_s
@@ -104,10 +114,11 @@ def epochs_of(config: EnvConfig, world: AbstractEnv) -> int:
 
 def _recordings_in(notes: Records) -> Recordings:
     """The vehicles in notes (E, K, C) NOTE of E episodes; those at the start come first, the others as they enter."""
-    episodes = [_vehicles_in(of_episode) for of_episode in notes]
-    episodes = [vehicles for vehicles in episodes if vehicles]
-    most = max((len(vehicles) for vehicles in episodes), default=1)
-    said = np.zeros((max(len(episodes), 1), most, notes.shape[1]), SAID)
+    recorded = [_vehicles_in(of_episode) for of_episode in notes]
+    some = [vehicles for vehicles in recorded if vehicles] or [[(0, np.zeros(1, SAID))]]
+    episodes = [vehicles or some[e % len(some)] for e, vehicles in enumerate(recorded)]  # where nobody was, another
+    most = max(len(vehicles) for vehicles in episodes)
+    said = np.zeros((len(episodes), most, notes.shape[1]), SAID)
     lengths = np.ones(said.shape[:2], dtype=np.int64)
     began, count = np.ones((2, len(said)), dtype=np.int64)
     for e, vehicles in enumerate(episodes):

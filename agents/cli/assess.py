@@ -228,7 +228,7 @@ def others(
     if as_json:
         print_json(result)
         return
-    heads = ("quantity", "full", "surrogate", "difference", "p")
+    heads = ("quantity", "surrogate", "full, same cities", "full, other cities")
     print_table(f"Others in {env}: medians or shares", heads, difference_rows(result))
 
 

@@ -1,13 +1,15 @@
 """Whether other vehicles that speak with recorded errors can be told from those that navigate.
 
-Both drive traffic of the same kind, without an ego. Those that navigate do so in cities that were not recorded.
-Vehicles of an episode share atmosphere, reference station and outages, so episodes are what tests exchange: a p-value
-is the share of random exchanges of whole episodes between the two kinds in which they differ at least as much.
+Both drive traffic of the same kind, without an ego. A p-value is the share of random exchanges between the two kinds
+in which they differ at least as much. In the recorded cities whole episodes are exchanged, whose vehicles share
+atmosphere, reference station and outages; in other cities whole cities, since the sky over a road is that of its city.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import EPISODE_SEEDS, DrivingEnv
-from lanebound.envs.recordings import AWAY_M, EPISODES, epochs_of
+from lanebound.envs.recordings import AWAY_M, EPISODES, SEED, city_of, epochs_of
 from lanebound.envs.vector.recorder import Recorder
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.records import Records
@@ -27,6 +29,7 @@ from lanebound.integrity.core.streams import named_generator
 __all__ = ["OthersConfig", "assess_others", "difference_rows"]
 
 Array = NDArray[np.float64]
+MORE = 3  # times as many cities as were recorded
 BINS = 400  # of a marginal, at quantiles of both kinds together
 NO_LEVEL_M = 1e4  # in place of a missing level
 LAGS_S = (0.5, 2.0)
@@ -48,41 +51,44 @@ def assess_others(config: OthersConfig, env: EnvConfig, out: Path) -> dict[str, 
     ConfigError
         The vector engine does not drive the world of ``env``.
     """
-    full = env.replace(perception={"source": "v2v", "others": "full"}, layouts=2 * env.layouts)
     surrogate = env.replace(perception={"source": "v2v", "others": "surrogate"})
-    new, count = _in_new_cities(env.layouts, config.episodes, config.seed), config.episodes
-    said = {"full": _notes(full, new), "surrogate": _notes(surrogate, _of_each_recording(count, config.seed))}
-    rng, hz = named_generator(config.seed, "others"), env.navigation.rate_hz
-    later = {f"autocorrelation of the error across, {lag:g} s": _autocorrelation(lag, hz) for lag in LAGS_S}
-    tests = {**_marginals(), "spread of episodes' mean log level across": _shared, **later}
-    found = {name: test(said["full"], said["surrogate"], config.exchanges, rng) for name, test in tests.items()}
+    full, count, seed = env.replace(perception={"source": "v2v", "others": "full"}), config.episodes, config.seed
+    spoken, recorded = _of_each_recording(count, seed)
+    said = _notes(surrogate, spoken)
+    kinds = {"same": (env.layouts, range(env.layouts)), "other": (MORE * env.layouts, range(env.layouts, 10**9))}
+    tests, hz = _marginals() | {"spread of episodes' mean log level across": _shared}, env.navigation.rate_hz
+    tests |= {f"autocorrelation of the error across, {lag:g} s": _autocorrelation(lag, hz) for lag in LAGS_S}
+    found: dict[str, dict[str, Any]] = {}
+    for kind, (cities, allowed) in kinds.items():
+        seeds = _seeds_in(cities, allowed, count, seed)
+        navigated, rng = _notes(full.replace(layouts=cities), seeds), named_generator(seed, "others")
+        of_full, of_surrogate = np.arange(count), np.arange(count, 2 * count)
+        if kind == "other":
+            of_full = np.array([city_of(one, cities) for one in seeds])
+            of_surrogate = np.array([city_of(SEED + one, env.layouts) for one in recorded])
+        exchange = _Exchange(np.concatenate([of_full, of_surrogate]), count, config.exchanges, rng)
+        found[kind] = {name: test(navigated, said, exchange) for name, test in tests.items()}
     result = {"config": config.to_dict(), "env": env.to_dict(), "tests": found}
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "results.json", result)
     return result
 
 
-def _in_new_cities(layouts: int, count: int, seed: int) -> list[int]:
-    """Seeds of episodes in cities ``layouts`` to ``2 layouts - 1``."""
-    found: list[int] = []
-    for one in range(seed * 10**6, (seed + 1) * 10**6):
-        episode = int(seeding.np_random(one)[0].integers(EPISODE_SEEDS))
-        if named_generator(episode, "scene").integers(2 * layouts) >= layouts:
-            found.append(one)
-        if len(found) == count:
-            break
-    return found
+def _seeds_in(cities: int, allowed: Container[int], count: int, seed: int) -> list[int]:
+    """Seeds of episodes in some of so many cities."""
+    every = range(seed * 10**6, (seed + 1) * 10**6)
+    return list(islice((one for one in every if city_of(one, cities) in allowed), count))
 
 
-def _of_each_recording(count: int, seed: int) -> list[int]:
-    """Seeds of episodes in which the others speak as in different recorded ones: else some would count twice."""
+def _of_each_recording(count: int, seed: int) -> tuple[list[int], list[int]]:
+    """Seeds of episodes in which the others speak as in different recorded ones, and these: none counts twice."""
     found: dict[int, int] = {}
     for one in range(seed * 10**6, (seed + 1) * 10**6):
         episode = int(seeding.np_random(one)[0].integers(EPISODE_SEEDS))
         found.setdefault(int(named_generator(episode, "others").integers(EPISODES)), one)
         if len(found) >= count:
             break
-    return list(found.values())
+    return list(found.values()), list(found)
 
 
 def _notes(env: EnvConfig, seeds: Sequence[int]) -> Records:
@@ -123,7 +129,7 @@ def _beyond(said: Records) -> Array:
 def _marginal(quantity: Callable[[Records], Array]) -> Any:
     """The largest distance of two distribution functions (Kolmogorov, Smirnov)."""
 
-    def test(full: Records, surrogate: Records, exchanges: int, rng: np.random.Generator) -> dict[str, float]:
+    def test(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
         values = [quantity(_there(of_episode)) for notes in (full, surrogate) for of_episode in notes]
         edges = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, BINS + 1)))
         counts = np.array([np.histogram(v, edges)[0] for v in values], dtype=np.float64)
@@ -133,7 +139,7 @@ def _marginal(quantity: Callable[[Records], Array]) -> Any:
             return np.abs(one - other).max(-1)
 
         medians = [float(np.median(np.concatenate(v))) for v in (values[: len(full)], values[len(full) :])]
-        return _exchanged(counts, len(full), distance, exchanges, rng) | {"full": medians[0], "surrogate": medians[1]}
+        return exchange(counts, distance) | {"full": medians[0], "surrogate": medians[1]}
 
     return test
 
@@ -141,10 +147,10 @@ def _marginal(quantity: Callable[[Records], Array]) -> Any:
 def _share(event: Callable[[Records], Array]) -> Any:
     """The difference of two shares of the vehicles and epochs."""
 
-    def test(full: Records, surrogate: Records, exchanges: int, rng: np.random.Generator) -> dict[str, float]:
+    def test(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
         of = [event(_there(of_episode)) for notes in (full, surrogate) for of_episode in notes]
         sums = np.array([(e.sum(), e.size) for e in of], dtype=np.float64)
-        return _ratio(sums, len(full), exchanges, rng)
+        return _ratio(sums, exchange)
 
     return test
 
@@ -153,7 +159,7 @@ def _autocorrelation(lag_s: float, hz: float) -> Any:
     """The difference of two autocorrelations of the error across."""
     lag = max(round(lag_s * hz), 1)
 
-    def test(full: Records, surrogate: Records, exchanges: int, rng: np.random.Generator) -> dict[str, float]:
+    def test(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
         sums = []
         for notes in (full, surrogate):
             for of_episode in notes:
@@ -161,12 +167,12 @@ def _autocorrelation(lag_s: float, hz: float) -> Any:
                 same = (key[lag:] == key[:-lag]) & (key[lag:] > 0)
                 power = 0.5 * (x[lag:] ** 2 + x[:-lag] ** 2)
                 sums.append(((x[lag:] * x[:-lag])[same].sum(), power[same].sum()))
-        return _ratio(np.array(sums), len(full), exchanges, rng)
+        return _ratio(np.array(sums), exchange)
 
     return test
 
 
-def _shared(full: Records, surrogate: Records, exchanges: int, rng: np.random.Generator) -> dict[str, float]:
+def _shared(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
     """The difference of the standard deviations of episodes' means: what vehicles of an episode share."""
     means = [
         np.log(np.minimum(_there(of_episode)["pl_ct_m"], NO_LEVEL_M)).mean() if (of_episode["key"] > 0).any() else 0.0
@@ -183,30 +189,46 @@ def _shared(full: Records, surrogate: Records, exchanges: int, rng: np.random.Ge
         return np.abs(spread(first) - spread(second))
 
     both = [float(spread(s.sum(0))) for s in (sums[: len(full)], sums[len(full) :])]
-    return _exchanged(sums, len(full), difference, exchanges, rng) | {"full": both[0], "surrogate": both[1]}
+    return exchange(sums, difference) | {"full": both[0], "surrogate": both[1]}
 
 
-def _ratio(sums: Array, count: int, exchanges: int, rng: np.random.Generator) -> dict[str, float]:
+def _ratio(sums: Array, exchange: _Exchange) -> dict[str, float]:
     """The test of a difference of ratios of sums (2 E, 2)."""
 
     def difference(first: Array, second: Array) -> Any:
         one, other = (s[..., 0] / np.maximum(s[..., 1], 1e-12) for s in (first, second))
         return np.abs(one - other)
 
+    count = exchange.count
     both = [float(s[:, 0].sum() / max(s[:, 1].sum(), 1e-12)) for s in (sums[:count], sums[count:])]
-    return _exchanged(sums, count, difference, exchanges, rng) | {"full": both[0], "surrogate": both[1]}
+    return exchange(sums, difference) | {"full": both[0], "surrogate": both[1]}
 
 
-def _exchanged(
-    rows: Array, count: int, statistic: Callable[[Array, Array], Any], exchanges: int, rng: np.random.Generator
-) -> dict[str, float]:
-    """Statistic of the sums of the first ``count`` rows and of the others, and its p-value under exchanges of rows."""
-    seen = float(statistic(rows[:count].sum(0), rows[count:].sum(0)))
-    at_least = 0
-    for _ in range(exchanges):
-        order = rng.permutation(len(rows))
-        at_least += statistic(rows[order[:count]].sum(0), rows[order[count:]].sum(0)) >= seen - 1e-12
-    return {"difference": seen, "p": (1 + at_least) / (1 + exchanges)}
+@dataclass(frozen=True)
+class _Exchange:
+    """A test by random exchanges.
+
+    unit : (2 E,) of each episode, those of the first kind first; whole units are exchanged
+    count : E
+    """
+
+    unit: NDArray[np.int64]
+    count: int
+    exchanges: int
+    rng: np.random.Generator
+
+    def __call__(self, rows: Array, statistic: Callable[[Array, Array], Any]) -> dict[str, float]:
+        """Statistic of the sums of rows (2 E, ...) of the two kinds, and its p-value."""
+        first, other = (np.unique(part) for part in (self.unit[: self.count], self.unit[self.count :]))
+        shared = np.intersect1d(first, other)
+        assert not shared.size, f"units must be of one kind, got {shared}"
+        sums = np.array([rows[self.unit == unit].sum(0) for unit in (*first, *other)])
+        seen, at_least = float(statistic(sums[: first.size].sum(0), sums[first.size :].sum(0))), 0
+        for _ in range(self.exchanges):
+            order = self.rng.permutation(len(sums))
+            drawn = statistic(sums[order[: first.size]].sum(0), sums[order[first.size :]].sum(0))
+            at_least += bool(drawn >= seen - 1e-12)
+        return {"difference": seen, "p": (1 + at_least) / (1 + self.exchanges)}
 
 
 def _there(notes: Records) -> Records:
@@ -216,8 +238,9 @@ def _there(notes: Records) -> Records:
 
 
 def difference_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
-    """A row for each test: both kinds, difference and p-value."""
+    """A row for each test: both kinds, then the p-value, in the recorded cities and in others."""
+    same, other = result["tests"]["same"], result["tests"]["other"]
     return [
-        (name, f"{t['full']:.4g}", f"{t['surrogate']:.4g}", f"{t['difference']:.3g}", f"{t['p']:.3f}")
-        for name, t in result["tests"].items()
+        (name, f"{t['surrogate']:.4g}", *(f"{k[name]['full']:.4g}, p {k[name]['p']:.3f}" for k in (same, other)))
+        for name, t in same.items()
     ]
