@@ -187,6 +187,15 @@ class EnvConfig(Config):
             )
         return self
 
+    @model_validator(mode="after")
+    def _others_have_receivers(self) -> Self:
+        # Random faults also act in the receivers of the others, which a surrogate does not have.
+        if self.faults is not FaultLevel.NONE and self.perception.has_radio and not self.perception.others_navigate:
+            raise ConfigError(
+                f"perception.others must be 'full' with faults {self.faults.value!r}, got 'surrogate': set it to full"
+            )
+        return self
+
     @cached_property
     def level(self) -> SkyLevel:
         """The preset of the sky, read once: a file of one's own may change later."""

@@ -52,6 +52,11 @@ class PerceptionConfig(Config):
     source: Literal["v2v", "sensor", "both", "none", "truth"] = Field(
         "v2v", description="source of the traffic; truth: every vehicle as it is, at no age"
     )
+    others: Literal["full", "surrogate"] = Field(
+        "full",
+        description="what the others broadcast; full: each navigates with a receiver of its own; surrogate: true poses "
+        "with errors and levels of receivers in recorded episodes of the same configuration, recorded once",
+    )
     v2v: V2vConfig = Field(default_factory=V2vConfig, description="the radio channel")
     sensor: SensorConfig = Field(default_factory=SensorConfig, description="the ego's own sensor")
     drop_after_s: float = Field(
@@ -71,3 +76,13 @@ class PerceptionConfig(Config):
         lt=90,
         description="bound of the angle between course and heading of others [deg]; our choice",
     )
+
+    @property
+    def has_radio(self) -> bool:
+        """Whether the ego hears the others."""
+        return self.source in ("v2v", "both")
+
+    @property
+    def others_navigate(self) -> bool:
+        """Whether the others broadcast what receivers of their own find."""
+        return self.has_radio and self.others == "full"

@@ -19,6 +19,7 @@ from lanebound.envs.batch.route_map import routes_of
 from lanebound.envs.batch.rules import rules_of
 from lanebound.envs.batch.skies import HOURS, Cities, Skies
 from lanebound.envs.config import EnvConfig
+from lanebound.envs.recordings import recordings_of
 from lanebound.envs.road_map import road_map_of
 from lanebound.envs.sky import SkyLevel, Street, build_street
 from lanebound.envs.worlds import world_kind
@@ -135,21 +136,25 @@ def _episodes(
 ) -> Episodes:
     """N episodes in some cities at some hours, of up to V vehicles, of which C others have a slot."""
     settings = navigator_config(config, alert_limits_m(world, config))
-    uses_sensors, has_radio = config.navigation.source.uses_sensors, config.perception.source in ("v2v", "both")
+    uses_sensors = config.navigation.source.uses_sensors
+    navigate = capacity > 0 and config.perception.others_navigate
+    recorded = capacity > 0 and config.perception.has_radio and not navigate
     routes = routes_of(world.road.network, reach_of(config))
     steps = config.navigation.steps_per_epoch(config.simulation_hz)
     step_s = 1.0 / config.simulation_hz
     navigation = None
-    if uses_sensors or (has_radio and capacity > 0):
+    if uses_sensors or navigate:
         span_s = config.navigation.warm_up_s + duration_s(config, world) + MARGIN_S
         skies, cities = Skies.of(settings.sky, span_s, hours), Cities.of(streets, routes.table)
-        members = 1 + (capacity if has_radio else 0)
+        members = 1 + (capacity if navigate else 0)
         navigation = NavigationBatch(
             config.navigation, settings, skies, cities, cities.ahead(config.observation.satellites_m),
             routes.table.lanes, count, members, step_s, steps,
             None if settings.context is None else road_map_of(world.road.network)[0],
         )  # fmt: skip
-    perception = PerceptionBatch(config.perception, count, capacity, vehicles, step_s * steps)
+    perception = PerceptionBatch(
+        config.perception, count, capacity, vehicles, step_s * steps, recordings_of(config) if recorded else None
+    )
     rules = rules_of(config, alert_limits_m(world, config), map_bound_m(config, settings) if uses_sensors else 0.0)
     return Episodes(config, rules, routes, empty_cars(count, vehicles), navigation, perception)
 
@@ -180,8 +185,7 @@ def set_scene(
     others = sum(v is not world.vehicle for v in world.road.vehicles)
     kind = world_kind(config.base)
     capacity = min(config.slots, others + (0 if kind is None else kind.newcomers))
-    has_radio = config.perception.source in ("v2v", "both")
-    crew = np.ones((1, capacity if has_radio else 0), dtype=np.bool_)
+    crew = np.ones((1, capacity if config.perception.others_navigate else 0), dtype=np.bool_)
     starts = draw_starts([seed], config.layouts, HOURS, crew, config.navigation.source.uses_sensors)
     layout, hour = int(starts.layout[0]), int(starts.hour[0])
     street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)

@@ -206,6 +206,32 @@ def signals(
     typer.echo(f"signals.json: {out}")
 
 
+@app.command("others")
+def others(
+    env: Annotated[str, typer.Argument(metavar="ID", help="Environment, as Highway or lanebound/Highway-v0.")],
+    out: Annotated[Path, typer.Option(help="Folder for results.json.")],
+    episodes: Annotated[int | None, typer.Option(min=8, help="Episodes of each kind; the study has 64.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seeds are drawn from it.")] = None,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Can other vehicles that speak with recorded errors be told from those that navigate, in cities not recorded?
+
+    Example: lanebound assess others Merge --out out/others --episodes 16
+    """
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.episodes.opening import open_env
+    from lanebound.agents.studies.others import OthersConfig, assess_others, difference_rows
+
+    config = OthersConfig.load(changes(None, episodes=episodes, seed=seed))
+    result = assess_others(config, open_env(env, changes(assignments)).config, out)
+    if as_json:
+        print_json(result)
+        return
+    heads = ("quantity", "surrogate", "full, same cities", "full, other cities")
+    print_table(f"Others in {env}: medians or shares", heads, difference_rows(result))
+
+
 def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: bool) -> None:
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar

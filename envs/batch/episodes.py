@@ -23,7 +23,7 @@ from lanebound.envs.batch import view_kernel as vk
 from lanebound.envs.batch.lanes import LaneTable
 from lanebound.envs.batch.lanes_kernel import NONE
 from lanebound.envs.batch.motion_kernel import MOTION
-from lanebound.envs.batch.navigation import NavigationBatch, Starts, fixes_of
+from lanebound.envs.batch.navigation import NavigationBatch, Starts, fixes_of, heard_at
 from lanebound.envs.batch.perception import PerceptionBatch, perceives
 from lanebound.envs.batch.records_kernel import CAR, EGO
 from lanebound.envs.batch.route_map import Reach, Routes
@@ -183,6 +183,8 @@ class Episodes:
             rk.give_rows(0, rows.size, rows, self.cars, self.ego, lanes, rules)
         self.perception.begin(rows, seeds, there, self.cars)
         heard = [(0.0, None)] if approach is None else approach.heard
+        if self.perception.recordings is not None:
+            heard = [(time_s, None) for time_s in heard_at(float(rules["epoch_s"][0]))]
         for time_s, solution in heard if perceives(self.config.perception) else ():
             of_all, times = None if solution is None else fixes_of(solution), np.full(rows.size, time_s)
             self.perception.perceive(rows, local, times, of_all, self.cars, self.ego)

@@ -7,6 +7,7 @@ navigation of an episode begins some seconds before it, on a straight approach.
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
 from typing import Any, NamedTuple
@@ -36,7 +37,7 @@ from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["HEARD_S", "Approach", "NavigationBatch", "Starts", "draw_starts", "fixes_of"]
+__all__ = ["HEARD_S", "Approach", "NavigationBatch", "Starts", "draw_starts", "fixes_of", "heard_at"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -82,6 +83,11 @@ def draw_starts(seeds: Sequence[int], layouts: int, hours: int, crew: Flags, sen
             of_fleet = fleet_generator(int(drawn[2, n]))
             noise[n, 1 : 1 + others] = of_fleet.standard_normal((FLEET_STARTS, others, 3))[-1]
     return Starts(drawn[0], drawn[1], drawn[2], shift, noise)
+
+
+def heard_at(epoch_s: float) -> list[float]:
+    """Times before an episode at which the radio is on, and its start [s]."""
+    return [ago * epoch_s for ago in range(-math.floor(HEARD_S / epoch_s + 1e-9), 1)]
 
 
 def fleet_generator(seed: int) -> np.random.Generator:

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch import perception_kernel as pk
 from lanebound.envs.batch import rows_kernel as rk
+from lanebound.envs.batch import surrogate_kernel as gk
 from lanebound.envs.batch.records_kernel import PERCEIVED
 from lanebound.envs.perception import PerceptionConfig
 from lanebound.integrity.core import streams_kernel as sk
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.records import Records, one_record
-from lanebound.integrity.core.streams import ZIGGURAT, Streams
+from lanebound.integrity.core.streams import ZIGGURAT, Streams, named_generator
 
 __all__ = ["PerceptionBatch", "perceives"]
 
@@ -41,6 +42,7 @@ class PerceptionBatch:
     count, capacity : N egos, and C slots of others that each may perceive
     vehicles : V that an environment may have, the ego included
     epoch_s : length of an epoch
+    recordings : with whose errors the others speak, None where they navigate
 
     Attributes
     ----------
@@ -48,9 +50,18 @@ class PerceptionBatch:
     pictures : the records, for kernels
     """
 
-    def __init__(self, config: PerceptionConfig, count: int, capacity: int, vehicles: int, epoch_s: float) -> None:
+    def __init__(
+        self,
+        config: PerceptionConfig,
+        count: int,
+        capacity: int,
+        vehicles: int,
+        epoch_s: float,
+        recordings: gk.Recordings | None = None,
+    ) -> None:
         v, s = config.v2v, config.sensor
         self.config, self.count, self.capacity, self.vehicles = config, count, capacity, vehicles
+        self.recordings = recordings
         self.has_radio, self.has_sensor = (
             capacity > 0 and config.source in (name, "both") for name in ("v2v", "sensor")
         )
@@ -77,6 +88,9 @@ class PerceptionBatch:
         slots = self.capacity + 1 if self.has_radio or self.has_sensor else 0
         self._streams = Streams([0] * n)
         self._there = np.ones((n, slots), dtype=np.bool_)
+        spoken = heard if self.recordings is not None else 0
+        one, every = np.zeros((3, n), dtype=np.int64), np.zeros((n, spoken), dtype=np.int64)
+        self._speakers = gk.Speakers(episode=one[0], now=one[1], since=every, began=one[2])
         radio = pk.Radio(
             np.zeros((n, late, heard), pk.SIGHTING),
             np.full((n, late, heard), -1, dtype=np.int64),
@@ -111,7 +125,7 @@ class PerceptionBatch:
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """Those that have a row for each environment."""
         p = self.pictures
-        return p.picture, p.perceived, p.tracks, p.slots, *p.radio, self._there
+        return p.picture, p.perceived, p.tracks, p.slots, *p.radio, self._there, *self._speakers
 
     def begin(self, rows: Rows, seeds: Sequence[int], there: Flags, cars: Records) -> None:
         """Start radios without messages and sensors without tracks, with the seeds of the episodes.
@@ -141,6 +155,11 @@ class PerceptionBatch:
         e, s = rows[n], slot[n, v]
         p.slots["key"][e, s] = v
         p.slots["length_m"][e, s], p.slots["width_m"][e, s] = cars["length"][e, v], cars["width"][e, v]
+        if self.recordings is not None:
+            who, recorded = self._speakers, len(self.recordings.count)
+            who.episode[rows] = [int(named_generator(seed, "others").integers(recorded)) for seed in seeds]
+            who.now[rows] = who.since[rows] = 0
+            who.began[rows] = (slot >= 0).sum(axis=1)
 
     def adopt(self, rows: Rows, other: PerceptionBatch, theirs: Rows) -> None:
         """Go on in ``rows`` with the draws of the egos ``theirs`` of another batch, whose arrays have been copied."""
@@ -162,6 +181,8 @@ class PerceptionBatch:
         p = self.pictures
         pk.forget_slot(p.radio, p.tracks, row, slot)
         p.slots[row, slot] = key, length_m, width_m
+        if self.recordings is not None:
+            self._speakers.since[row, slot] = self._speakers.now[row] + 1
 
     def perceive(
         self, rows: Rows, at: Rows, time_s: Array, fixes: Records | None, cars: Records, egos: Records,
@@ -172,7 +193,8 @@ class PerceptionBatch:
         at (n,): rows of the egos in ``fixes``, after which those of the others follow by slot; time_s (n,) of the
         episodes; lies (N, C, 4): see :func:`.perception_kernel.hear`.
         """
-        p, hears = self.pictures, self.has_radio and fixes is not None
+        p, recordings = self.pictures, self.recordings
+        hears = self.has_radio and (fixes is not None or recordings is not None)
         if not (hears or self.has_sensor):
             return
         heard = self._draw("v2v", rows, 2) if hears else None
@@ -180,7 +202,11 @@ class PerceptionBatch:
 
         def work(first: int, last: int) -> None:
             if heard is not None:
-                rk.hear_rows(first, last, rows, at, fixes, cars, egos, p, time_s, heard, lies)
+                if recordings is None:
+                    rk.claim_rows(first, last, rows, at, fixes, p)
+                else:
+                    gk.recite_rows(first, last, rows, cars, egos, p, recordings, self._speakers, time_s)
+                rk.hear_rows(first, last, rows, cars, egos, p, time_s, heard, lies)
             if seen is not None:
                 rk.look_rows(first, last, rows, cars, egos, p.picture, p.tracks, p.of_sensor, seen)
             rk.sum_up_rows(first, last, rows, egos, p, time_s)

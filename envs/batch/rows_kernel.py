@@ -17,8 +17,8 @@ from lanebound.envs.batch.sky_ahead_kernel import fill_sky, predict
 from lanebound.envs.batch.view_kernel import ORACLE, derive, fill_frame, true_view, words_of
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["approach_step", "begin_rows", "carry_on", "carry_rows", "conclude_rows", "count_rows", "end_epoch",
-           "give_rows", "hear_rows", "look_rows", "sky_rows", "sum_up_rows", "take_rows"]  # fmt: skip
+__all__ = ["approach_step", "begin_rows", "carry_on", "carry_rows", "claim_rows", "conclude_rows", "count_rows",
+           "end_epoch", "give_rows", "hear_rows", "look_rows", "sky_rows", "sum_up_rows", "take_rows"]  # fmt: skip
 
 
 # After a simulation step
@@ -103,17 +103,26 @@ def count_rows(first, last, rows, cars, egos):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def hear_rows(first, last, rows, at, fixes, cars, egos, pictures, time, u, lies):  # type: ignore[no-untyped-def]
-    """One epoch of the radio: the other vehicles broadcast their solutions.
+def claim_rows(first, last, rows, at, fixes, pictures):  # type: ignore[no-untyped-def]
+    """What the other vehicles broadcast: their solutions.
 
-    Row ``at[n] + 1 + slot`` of fixes belongs to the vehicle in a slot of environment ``rows[n]``; time (n,): of the
-    episodes; u (n, C + 1, 2) uniform draws; lies: see :func:`.perception_kernel.hear`.
+    Row ``at[n] + 1 + slot`` of fixes belongs to the vehicle in a slot of environment ``rows[n]``.
+    """
+    for n in range(first, last):
+        spoken = pictures.spoken[rows[n]]
+        for i in range(spoken.shape[0]):
+            claim(fixes[at[n] + 1 + i], spoken[i])
+
+
+@jit(borrows=True)
+def hear_rows(first, last, rows, cars, egos, pictures, time, u, lies):  # type: ignore[no-untyped-def]
+    """One epoch of the radio: the other vehicles broadcast what they say.
+
+    time (n,): of the episodes; u (n, C + 1, 2) uniform draws; lies: see :func:`.perception_kernel.hear`.
     """
     p = pictures
     for n in range(first, last):
         e = rows[n]
-        for i in range(p.spoken.shape[1]):
-            claim(fixes[at[n] + 1 + i], p.spoken[e, i])
         here = cars[e, : egos[e].vehicles]
         hear(p.picture[e], p.radio, e, p.of_radio[0], time[n], p.spoken[e], here, u[n], lies)
 

@@ -285,12 +285,17 @@ class Engine:
             if self.entrance is not None and frame + frames == self.frames:
                 self._stage.turnover.step(self._stage.drivers, where)
             if e.epoch_steps is not None:
-                e.sense(where)
-                e.locate(where)
-                if self._routed:
-                    keep_rows(where, e.ego, e.table.lanes, self.plans.steps, e.rules)
-                e.perceive(where, e.times_s[where])
+                self._end_epoch(where)
         e.score_and_observe(where, start=False)
+
+    def _end_epoch(self, rows: Rows) -> None:
+        """Sense, locate and perceive where a navigation epoch ends."""
+        e = self.episodes
+        e.sense(rows)
+        e.locate(rows)
+        if self._routed:
+            keep_rows(rows, e.ego, e.table.lanes, self.plans.steps, e.rules)
+        e.perceive(rows, e.times_s[rows])
 
     def _drive(self, rows: Rows, frames: int, ends: bool, codes: Rows) -> None:
         """Simulation steps of all vehicles, in which egos carry out meta-actions ``codes``, if there are any.

@@ -34,7 +34,7 @@ from lanebound.integrity.positioning.odometer_watch_kernel import STANDING_MPS, 
 
 __all__ = ["admit_doppler", "find_attitude"]
 
-MOVING_MPS = 0.5  # slower, the side slip is not known
+MOST_SLIP = 0.9  # sine of the side slip at most; that of a car at full lock is 0.65, more is noise at creeping speed
 REST_S = 0.5  # without motion, until the vehicle is at rest
 REST_DOPPLER_MPS = 0.1  # Doppler speed that is no motion, at least
 
@@ -50,7 +50,7 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
         _move_velocity(vehicle, par, w)
         w.resting = _find_rest(vehicle, par, speed, w)
         w.slip = side_slip(par.lever.axle, w.turning, speed)
-        slip_rate = w.turning / (speed * math.cos(w.slip)) if abs(speed) > MOVING_MPS else 0.0
+        slip_rate = w.turning / (speed * math.cos(w.slip)) if abs(speed) > STANDING_MPS else 0.0
         expect_turn(turn, par.dt, par.heading.angle_random_walk, slip_rate, heading, w.step.turn)
         w.middle = wrap(_advance_heading(heading, par, turn, w) + w.slip)
         w.reckoned, w.turned = heading.angle, 0.0 if w.resting else w.turning * par.dt
@@ -112,8 +112,8 @@ def side_slip(axle: float, turning: float, speed: float) -> float:
 
     The rear axle moves along the heading, so the reference point moves sideways at ``axle`` times the yaw rate.
     """
-    sine = axle * turning / speed if abs(speed) > MOVING_MPS else 0.0
-    return math.asin(min(max(sine, -1.0), 1.0))
+    sine = axle * turning / speed if abs(speed) > STANDING_MPS else 0.0
+    return math.asin(min(max(sine, -MOST_SLIP), MOST_SLIP))
 
 
 @jit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from recorded_skies import wall_on_the_left
 
+from lanebound.envs import recordings
 from lanebound.envs.batch.navigation import NavigationBatch
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
@@ -24,6 +26,7 @@ CITY: dict[str, Any] = {
     "extent_m": 300.0,
     "layouts": 2,
 }
+SURROGATE: dict[str, Any] = {"perception": {"others": "surrogate"}, "duration_s": 8.0}
 TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
 SEQUENTIAL: dict[str, Any] = {"navigator": {"positioning": {"rtk": {"float_solution": {"kind": "sequential"}}}}}
 NEAR: dict[str, Any] = {"navigator": {"gnss": {"near_objects": {"kind": "vehicle"}}}}
@@ -50,7 +53,21 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Roundabout", {"sky": "open", "layouts": 1, **SENSOR, "observation": {"integrity": "oracle"}}, 6),
     ("Intersection", {"sky": "open", "layouts": 1}, 14),
     ("Intersection", {"sky": "open", "layouts": 1, **TRUTH}, 8),
+    ("Highway", {**FEW, **SURROGATE}, 10),
+    ("CarFollowing", {"sky": "open", **PERFECT, **SURROGATE}, 10),
+    ("UrbanCanyon", {**CITY, **SURROGATE, "perception": {"source": "both", "others": "surrogate"}}, 6),
+    ("Intersection", {"sky": "open", "layouts": 1, **SURROGATE}, 8),
 ]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_recordings() -> Iterator[None]:
+    """Four recorded episodes are enough to compare."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(recordings, "EPISODES", 4)
+        recordings._recordings.cache_clear()
+        yield
+    recordings._recordings.cache_clear()
 
 
 @pytest.mark.parametrize(("name", "config", "steps"), CASES)
@@ -102,6 +119,7 @@ COLD: dict[str, Any] = {"navigator": {"imu": {"mems_exponential": True}}}
         ("Highway", {**FEW, **OUTAGES}),
         ("UrbanCanyon", {**CITY, **BOTH}),
         ("Intersection", {"sky": "open", "layouts": 1, **BOTH, "world": {"spawn_probability": 0.5}}),
+        ("Intersection", {"sky": "open", "layouts": 1, **SURROGATE, "world": {"spawn_probability": 0.5}}),
     ],
 )
 def test_later_episodes_are_those_of_the_single_one(name: str, config: dict[str, Any]) -> None:

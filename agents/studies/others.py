@@ -1,0 +1,246 @@
+"""Whether other vehicles that speak with recorded errors can be told from those that navigate.
+
+Both drive traffic of the same kind, without an ego. A p-value is the share of random exchanges between the two kinds
+in which they differ at least as much. In the recorded cities whole episodes are exchanged, whose vehicles share
+atmosphere, reference station and outages; in other cities whole cities, since the sky over a road is that of its city.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.envs.config import EnvConfig
+from lanebound.envs.core import EPISODE_SEEDS, DrivingEnv
+from lanebound.envs.recordings import AWAY_M, EPISODES, SEED, city_of, epochs_of
+from lanebound.envs.vector.recorder import Recorder
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.streams import named_generator
+
+__all__ = ["OthersConfig", "assess_others", "difference_rows"]
+
+Array = NDArray[np.float64]
+MORE = 3  # times as many cities as were recorded
+BINS = 400  # of a marginal, at quantiles of both kinds together
+NO_LEVEL_M = 1e4  # in place of a missing level
+LAGS_S = (0.5, 2.0)
+
+
+class OthersConfig(Config):
+    """What is compared."""
+
+    episodes: int = Field(EPISODES, ge=8, le=EPISODES, description="episodes of each kind")
+    seed: int = Field(0, ge=0, description="seeds are drawn from it")
+    exchanges: int = Field(999, ge=99, description="random exchanges of a test")
+
+
+def assess_others(config: OthersConfig, env: EnvConfig, out: Path) -> dict[str, Any]:
+    """Drive both kinds in the traffic of ``env``, compare them, and write ``results.json``; returns its data.
+
+    Raises
+    ------
+    ConfigError
+        The vector engine does not drive the world of ``env``.
+    """
+    surrogate = env.replace(perception={"source": "v2v", "others": "surrogate"})
+    full, count, seed = env.replace(perception={"source": "v2v", "others": "full"}), config.episodes, config.seed
+    spoken, recorded = _of_each_recording(count, seed)
+    said = _notes(surrogate, spoken)
+    kinds = {"same": (env.layouts, range(env.layouts)), "other": (MORE * env.layouts, range(env.layouts, 10**9))}
+    tests, hz = _marginals() | {"spread of episodes' mean log level across": _shared}, env.navigation.rate_hz
+    tests |= {f"autocorrelation of the error across, {lag:g} s": _autocorrelation(lag, hz) for lag in LAGS_S}
+    found: dict[str, dict[str, Any]] = {}
+    for kind, (cities, allowed) in kinds.items():
+        seeds = _seeds_in(cities, allowed, count, seed)
+        navigated, rng = _notes(full.replace(layouts=cities), seeds), named_generator(seed, "others")
+        of_full, of_surrogate = np.arange(count), np.arange(count, 2 * count)
+        if kind == "other":
+            of_full = np.array([city_of(one, cities) for one in seeds])
+            of_surrogate = np.array([city_of(SEED + one, env.layouts) for one in recorded])
+        exchange = _Exchange(np.concatenate([of_full, of_surrogate]), count, config.exchanges, rng)
+        found[kind] = {name: test(navigated, said, exchange) for name, test in tests.items()}
+    result = {"config": config.to_dict(), "env": env.to_dict(), "tests": found}
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "results.json", result)
+    return result
+
+
+def _seeds_in(cities: int, allowed: Container[int], count: int, seed: int) -> list[int]:
+    """Seeds of episodes in some of so many cities."""
+    every = range(seed * 10**6, (seed + 1) * 10**6)
+    return list(islice((one for one in every if city_of(one, cities) in allowed), count))
+
+
+def _of_each_recording(count: int, seed: int) -> tuple[list[int], list[int]]:
+    """Seeds of episodes in which the others speak as in different recorded ones, and these: none counts twice."""
+    found: dict[int, int] = {}
+    for one in range(seed * 10**6, (seed + 1) * 10**6):
+        episode = int(seeding.np_random(one)[0].integers(EPISODE_SEEDS))
+        found.setdefault(int(named_generator(episode, "others").integers(EPISODES)), one)
+        if len(found) >= count:
+            break
+    return list(found.values()), list(found)
+
+
+def _notes(env: EnvConfig, seeds: Sequence[int]) -> Records:
+    """What the others have said, (E, K, C) NOTE."""
+    single = DrivingEnv(env)
+    return Recorder(single, len(seeds), AWAY_M).record(list(seeds), epochs_of(env, single.world))
+
+
+# Tests
+
+
+def _marginals() -> dict[str, Any]:
+    """Tests of quantities of a vehicle in an epoch."""
+    quantities: dict[str, Callable[[Records], Array]] = {
+        "error along [m]": lambda s: np.abs(s["along_m"]),
+        "error across [m]": lambda s: np.abs(s["across_m"]),
+        "error of the heading [rad]": lambda s: np.abs(s["turn_rad"]),
+        "error of the speed, relative": lambda s: np.abs(s["scale"]),
+        "level along [m]": lambda s: np.minimum(s["pl_at_m"], NO_LEVEL_M),
+        "level across [m]": lambda s: np.minimum(s["pl_ct_m"], NO_LEVEL_M),
+        "error over level, along": lambda s: np.abs(s["along_m"]) / np.minimum(s["pl_at_m"], NO_LEVEL_M),
+        "error over level, across": lambda s: np.abs(s["across_m"]) / np.minimum(s["pl_ct_m"], NO_LEVEL_M),
+    }
+    shares: dict[str, Callable[[Records], Array]] = {
+        "share of errors beyond a level": _beyond,
+        "share of levels across over 1 m": lambda s: s["pl_ct_m"] > 1.0,
+        "share of silent vehicles": lambda s: s["sends"] == 0,
+    }
+    of_all: dict[str, Any] = {name: _marginal(of) for name, of in quantities.items()}
+    return of_all | {name: _share(of) for name, of in shares.items()}
+
+
+def _beyond(said: Records) -> Array:
+    """Whether an error exceeds its level."""
+    return np.asarray((np.abs(said["along_m"]) > said["pl_at_m"]) | (np.abs(said["across_m"]) > said["pl_ct_m"]))
+
+
+def _marginal(quantity: Callable[[Records], Array]) -> Any:
+    """The largest distance of two distribution functions (Kolmogorov, Smirnov)."""
+
+    def test(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
+        values = [quantity(_there(of_episode)) for notes in (full, surrogate) for of_episode in notes]
+        edges = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, BINS + 1)))
+        counts = np.array([np.histogram(v, edges)[0] for v in values], dtype=np.float64)
+
+        def distance(first: Array, second: Array) -> Any:
+            one, other = (np.cumsum(c, -1) / np.maximum(c.sum(-1, keepdims=True), 1.0) for c in (first, second))
+            return np.abs(one - other).max(-1)
+
+        medians = [float(np.median(np.concatenate(v))) for v in (values[: len(full)], values[len(full) :])]
+        return exchange(counts, distance) | {"full": medians[0], "surrogate": medians[1]}
+
+    return test
+
+
+def _share(event: Callable[[Records], Array]) -> Any:
+    """The difference of two shares of the vehicles and epochs."""
+
+    def test(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
+        of = [event(_there(of_episode)) for notes in (full, surrogate) for of_episode in notes]
+        sums = np.array([(e.sum(), e.size) for e in of], dtype=np.float64)
+        return _ratio(sums, exchange)
+
+    return test
+
+
+def _autocorrelation(lag_s: float, hz: float) -> Any:
+    """The difference of two autocorrelations of the error across."""
+    lag = max(round(lag_s * hz), 1)
+
+    def test(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
+        sums = []
+        for notes in (full, surrogate):
+            for of_episode in notes:
+                x, key = of_episode["said"]["across_m"].astype(np.float64), of_episode["key"]
+                same = (key[lag:] == key[:-lag]) & (key[lag:] > 0)
+                power = 0.5 * (x[lag:] ** 2 + x[:-lag] ** 2)
+                sums.append(((x[lag:] * x[:-lag])[same].sum(), power[same].sum()))
+        return _ratio(np.array(sums), exchange)
+
+    return test
+
+
+def _shared(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
+    """The difference of the standard deviations of episodes' means: what vehicles of an episode share."""
+    means = [
+        np.log(np.minimum(_there(of_episode)["pl_ct_m"], NO_LEVEL_M)).mean() if (of_episode["key"] > 0).any() else 0.0
+        for notes in (full, surrogate)
+        for of_episode in notes
+    ]
+    sums = np.array([(1.0, m, m * m) for m in means])
+
+    def spread(s: Array) -> Any:
+        n, total, square = np.moveaxis(s.sum(-2) if s.ndim > 2 else s, -1, 0)
+        return np.sqrt(np.maximum(square / n - (total / n) ** 2, 0.0))
+
+    def difference(first: Array, second: Array) -> Any:
+        return np.abs(spread(first) - spread(second))
+
+    both = [float(spread(s.sum(0))) for s in (sums[: len(full)], sums[len(full) :])]
+    return exchange(sums, difference) | {"full": both[0], "surrogate": both[1]}
+
+
+def _ratio(sums: Array, exchange: _Exchange) -> dict[str, float]:
+    """The test of a difference of ratios of sums (2 E, 2)."""
+
+    def difference(first: Array, second: Array) -> Any:
+        one, other = (s[..., 0] / np.maximum(s[..., 1], 1e-12) for s in (first, second))
+        return np.abs(one - other)
+
+    count = exchange.count
+    both = [float(s[:, 0].sum() / max(s[:, 1].sum(), 1e-12)) for s in (sums[:count], sums[count:])]
+    return exchange(sums, difference) | {"full": both[0], "surrogate": both[1]}
+
+
+@dataclass(frozen=True)
+class _Exchange:
+    """A test by random exchanges.
+
+    unit : (2 E,) of each episode, those of the first kind first; whole units are exchanged
+    count : E
+    """
+
+    unit: NDArray[np.int64]
+    count: int
+    exchanges: int
+    rng: np.random.Generator
+
+    def __call__(self, rows: Array, statistic: Callable[[Array, Array], Any]) -> dict[str, float]:
+        """Statistic of the sums of rows (2 E, ...) of the two kinds, and its p-value."""
+        first, other = (np.unique(part) for part in (self.unit[: self.count], self.unit[self.count :]))
+        shared = np.intersect1d(first, other)
+        assert not shared.size, f"units must be of one kind, got {shared}"
+        sums = np.array([rows[self.unit == unit].sum(0) for unit in (*first, *other)])
+        seen, at_least = float(statistic(sums[: first.size].sum(0), sums[first.size :].sum(0))), 0
+        for _ in range(self.exchanges):
+            order = self.rng.permutation(len(sums))
+            drawn = statistic(sums[order[: first.size]].sum(0), sums[order[first.size :]].sum(0))
+            at_least += bool(drawn >= seen - 1e-12)
+        return {"difference": seen, "p": (1 + at_least) / (1 + self.exchanges)}
+
+
+def _there(notes: Records) -> Records:
+    """What vehicles have said, (n,) SAID; empty slots are left out."""
+    said: Records = notes["said"][notes["key"] > 0]
+    return said
+
+
+def difference_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """A row for each test: both kinds, then the p-value, in the recorded cities and in others."""
+    same, other = result["tests"]["same"], result["tests"]["other"]
+    return [
+        (name, f"{t['surrogate']:.4g}", *(f"{k[name]['full']:.4g}, p {k[name]['p']:.3f}" for k in (same, other)))
+        for name, t in same.items()
+    ]

@@ -1,0 +1,165 @@
+"""Recorded episodes of a configuration: what the other vehicles broadcast when each navigates by itself.
+
+They are recorded once, by the vector engine, in the traffic of the configuration without its ego, and stored next to
+the compiled kernels. ``perception.others: surrogate`` lets the others speak with them. The recorded vehicles of an
+episode share atmosphere, reference station and outages, so those that speak do as well, though not with the ego.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import math
+import os
+import tempfile
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import cache, lru_cache
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from gymnasium.utils import seeding
+from highway_env.envs.common.abstract import AbstractEnv
+
+import lanebound.envs
+import lanebound.integrity
+from lanebound.envs.batch.surrogate_kernel import SAID, Recordings
+from lanebound.envs.config import EnvConfig
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.kernel_cache import cache_root
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.streams import named_generator
+
+__all__ = ["AWAY_M", "EPISODES", "SEED", "city_of", "epochs_of", "recordings_of"]
+
+LOGGER = logging.getLogger("lanebound")
+EPISODES = 64  # recorded: sixteen in each of four cities, at hours of their own
+SEED = 2**31  # of the first recorded episode; those of drives are drawn elsewhere
+AWAY_M = 20_000.0  # the ego stands there, beside every lane and out of everybody's way
+ON_DISK = 40
+NOT_HEARD = ("observation", "reward", "cost", "cost_limit", "rendering", "faults", "success_share", "success_behind_s")
+
+
+def recordings_of(config: EnvConfig) -> Recordings:
+    """The recordings of a configuration, from memory, from disk or made now.
+
+    Raises
+    ------
+    ConfigError
+        The vector engine does not drive the world of this configuration, so nothing can be recorded.
+    """
+    heard = {name: value for name, value in config.to_dict().items() if name not in NOT_HEARD}
+    heard["perception"] = {"source": "v2v", "others": "full", "v2v": {"rate_hz": config.perception.v2v.rate_hz}}
+    return _recordings(EnvConfig.load(heard).to_json())
+
+
+@lru_cache(maxsize=4)
+def _recordings(text: str) -> Recordings:
+    place = cache_root()
+    key = hashlib.blake2b(repr((_sources(), np.__version__, EPISODES, text)).encode(), digest_size=16).hexdigest()
+    file = None if place is None else place / "recordings" / f"{key}.npz"
+    found = None if file is None else _load(file)
+    if found is None:
+        LOGGER.warning("lanebound: recording other vehicles, once for this configuration. This takes up to a minute.")
+        found = record(EnvConfig.from_json(text), range(SEED, SEED + EPISODES))
+        if file is not None:
+            _save(file, found)
+    return found
+
+
+@cache
+def _sources() -> str:
+    """Digest of the code that recordings come from."""
+    h = hashlib.blake2b(digest_size=8)
+    for package in (lanebound.integrity, lanebound.envs):
+        for source in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
+            h.update(source.read_bytes())
+    return h.hexdigest()
+
+
+# To record
+
+
+def record(config: EnvConfig, seeds: Sequence[int]) -> Recordings:
+    """Record episodes with these seeds in the traffic of a configuration in which the others navigate."""
+    from lanebound.envs.core import DrivingEnv
+    from lanebound.envs.vector.recorder import Recorder
+
+    try:
+        single = DrivingEnv(config)
+        recorder = Recorder(single, len(seeds), AWAY_M)
+    except ConfigError as error:
+        raise ConfigError(
+            f"perception.others must be 'full' where the vector engine cannot record the others, got 'surrogate': "
+            f"{error}"
+        ) from None
+    return _recordings_in(recorder.record(list(seeds), epochs_of(config, single.world)))
+
+
+def city_of(seed: int, cities: int) -> int:
+    """Which of so many cities the episode of a seed takes place in."""
+    from lanebound.envs.core import EPISODE_SEEDS
+
+    episode = int(seeding.np_random(seed)[0].integers(EPISODE_SEEDS))
+    return int(named_generator(episode, "scene").integers(cities))
+
+
+def epochs_of(config: EnvConfig, world: AbstractEnv) -> int:
+    """Navigation epochs of an episode."""
+    from lanebound.envs.scene import duration_s
+
+    return math.ceil(duration_s(config, world) * config.navigation.rate_hz)
+
+
+def _recordings_in(notes: Records) -> Recordings:
+    """The vehicles in notes (E, K, C) NOTE of E episodes; those at the start come first, the others as they enter."""
+    recorded = [_vehicles_in(of_episode) for of_episode in notes]
+    some = [vehicles for vehicles in recorded if vehicles] or [[(0, np.zeros(1, SAID))]]
+    episodes = [vehicles or some[e % len(some)] for e, vehicles in enumerate(recorded)]  # where nobody was, another
+    most = max(len(vehicles) for vehicles in episodes)
+    said = np.zeros((len(episodes), most, notes.shape[1]), SAID)
+    lengths = np.ones(said.shape[:2], dtype=np.int64)
+    began, count = np.ones((2, len(said)), dtype=np.int64)
+    for e, vehicles in enumerate(episodes):
+        count[e], began[e] = len(vehicles), sum(first == 0 for first, _ in vehicles)
+        for i, (_, rows) in enumerate(vehicles):
+            said[e, i, : rows.size], lengths[e, i] = rows, rows.size
+    return Recordings(said, lengths, began, count)
+
+
+def _vehicles_in(notes: Records) -> list[tuple[int, Records]]:
+    """First epoch and SAID of each vehicle in notes (K, C), in the order of their names."""
+    key, found = notes["key"], {}
+    for slot in range(key.shape[1]):
+        for name in np.unique(key[:, slot][key[:, slot] > 0]).tolist():
+            rows = np.flatnonzero(key[:, slot] == name)
+            found[name] = int(rows[0]), notes["said"][rows, slot]
+    return [found[name] for name in sorted(found)]
+
+
+# On disk
+
+
+def _load(file: Path) -> Recordings | None:
+    try:
+        with np.load(file, allow_pickle=False) as data:
+            return Recordings(*(data[name] for name in Recordings._fields))
+    except (OSError, EOFError, KeyError, ValueError, BadZipFile):
+        return None
+
+
+def _save(file: Path, recordings: Recordings) -> None:
+    """Write recordings to disk atomically; only the newest 40 files are kept."""
+    with suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                np.savez(stream, **recordings._asdict())
+            os.replace(name, file)
+        except OSError:
+            Path(name).unlink(missing_ok=True)
+            return
+        for old in sorted(file.parent.glob("*.npz"), key=lambda one: one.stat().st_mtime)[:-ON_DISK]:
+            old.unlink(missing_ok=True)

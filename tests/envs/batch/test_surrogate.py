@@ -1,0 +1,148 @@
+"""Other vehicles that speak with recorded errors: what is recorded comes back, and who speaks as whom."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lanebound.envs import recordings
+from lanebound.envs.batch.perception import PerceptionBatch
+from lanebound.envs.batch.records_kernel import CAR, EGO
+from lanebound.envs.batch.surrogate_kernel import NOTE, SAID, Recordings, note, recite_rows
+from lanebound.envs.config import EnvConfig
+from lanebound.envs.perception import PerceptionConfig
+from lanebound.envs.registration import make_config
+from lanebound.integrity.core.errors import ConfigError
+
+EPOCHS, CREW = 6, 3
+FEW: dict[str, Any] = {"sky": "open", "layouts": 1, "duration_s": 2.0, "perception": {"others": "surrogate"}}
+RNG = np.random.default_rng(3)
+
+
+def _recordings(episodes: int = 2, began: int = CREW, count: int = CREW) -> Recordings:
+    """Random ones, of vehicles that all stay."""
+    said = np.zeros((episodes, count, EPOCHS), SAID)
+    for name in ("along_m", "across_m", "turn_rad", "scale", "pl_at_m", "pl_ct_m"):
+        said[name] = RNG.uniform(0.1, 0.4, said.shape)
+    said["sends"] = 1
+    lengths = np.full((episodes, count), EPOCHS)
+    return Recordings(said, lengths, np.full(episodes, began), np.full(episodes, count))
+
+
+def _street(given: Recordings, seed: int = 5) -> tuple[PerceptionBatch, Any, Any]:
+    """One ego and three others with slots, each at a place, heading and speed of its own."""
+    batch = PerceptionBatch(PerceptionConfig(others="surrogate"), 1, CREW, 1 + CREW, 0.1, given)
+    cars, egos = np.zeros((1, 1 + CREW), CAR), np.zeros(1, EGO)
+    cars["slot"], egos["vehicles"] = np.arange(-1, CREW), 1 + CREW
+    cars["x"], cars["y"] = RNG.uniform(-40.0, 40.0, (2, 1, 1 + CREW))
+    cars["heading"], cars["speed"] = RNG.uniform(-3.0, 3.0, (1, 4)), RNG.uniform(0.0, 20.0, (1, 4))
+    batch.begin(np.zeros(1, np.int64), [seed], np.ones((1, CREW), np.bool_), cars)
+    return batch, cars, egos
+
+
+def _recite(batch: PerceptionBatch, cars: Any, egos: Any, time_s: float) -> Any:
+    rows, p = np.zeros(1, np.int64), batch.pictures
+    recite_rows(0, 1, rows, cars, egos, p, batch.recordings, batch._speakers, np.array([time_s]))
+    notes = np.zeros((1, CREW), NOTE)
+    note(rows, cars, egos, p, notes)
+    return notes[0]
+
+
+@pytest.mark.parametrize("epoch", range(EPOCHS))
+def test_what_is_said_has_the_recorded_errors_whatever_the_pose(epoch: int) -> None:
+    given = _recordings()
+    batch, cars, egos = _street(given)
+    heard = _recite(batch, cars, egos, 0.1 * epoch)
+    chosen = given.said[batch._speakers.episode[0], :, epoch]
+    for name in SAID.names or ():
+        assert_allclose(heard["said"][name], chosen[name], rtol=1e-4, atol=1e-6, err_msg=name)
+
+
+def test_before_an_episode_they_come_up_to_where_they_are() -> None:
+    given = _recordings()
+    batch, cars, egos = _street(given)
+    now = _recite(batch, cars, egos, 0.0)["said"]["along_m"].copy()
+    before = _recite(batch, cars, egos, -0.3)["said"]["along_m"]
+    assert_allclose(now - before, 0.3 * cars["speed"][0, 1:], rtol=1e-5, atol=1e-5)
+
+
+def test_one_that_stays_longer_goes_back_and_forth() -> None:
+    given = _recordings()
+    batch, cars, egos = _street(given)
+    errors = [float(_recite(batch, cars, egos, 0.1 * k)["said"]["across_m"][0]) for k in range(3 * EPOCHS)]
+    order = [0, 1, 2, 3, 4, 5, 4, 3, 2, 1, 0, 1, 2, 3, 4, 5, 4, 3]
+    assert_allclose(errors, given.said["across_m"][batch._speakers.episode[0], 0, order], rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("began", "count", "keys", "expected"),
+    [
+        (2, 5, (1, 2, 4), (0, 1, 2)),  # the third at the start, but two recorded ones were; the first to enter
+        (2, 5, (5, 6, 7), (3, 4, 2)),  # the fourth to enter speaks as the first again
+        (3, 3, (1, 4, 6), (0, 0, 2)),  # none has entered
+        (0, 2, (1, 2, 4), (0, 1, 0)),  # none was there
+    ],
+)
+def test_who_speaks_as_whom(began: int, count: int, keys: Any, expected: Any) -> None:
+    given = _recordings(1, began, count)
+    batch, cars, egos = _street(given)
+    batch.pictures.slots["key"][0, :CREW] = keys
+    heard = _recite(batch, cars, egos, 0.0)["said"]["across_m"]
+    assert_allclose(heard, given.said["across_m"][0, list(expected), 0], rtol=1e-4)
+
+
+def test_one_that_enters_begins_at_the_beginning() -> None:
+    given = _recordings(1, 2, 4)
+    batch, cars, egos = _street(given)
+    _recite(batch, cars, egos, 0.3)
+    batch.enter(0, 1, 4, 5.0, 2.0)
+    for age in range(3):
+        heard = _recite(batch, cars, egos, 0.4 + 0.1 * age)
+        assert heard["key"][1] == 4
+        assert_allclose(heard["said"]["across_m"][1], given.said["across_m"][0, 2, age], rtol=1e-4)
+
+
+def test_episodes_are_drawn_evenly() -> None:
+    given, seen = _recordings(4), np.zeros(4)
+    for seed in range(200):
+        seen[_street(given, seed)[0]._speakers.episode[0]] += 1
+    assert (np.abs(seen - 50.0) < 25.0).all()  # 4 sigma: false alarm 2.5e-4
+
+
+def test_recordings_are_made_once_and_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(recordings, "cache_root", lambda: tmp_path)
+    monkeypatch.setattr(recordings, "EPISODES", 3)
+    config = make_config("lanebound/CarFollowing-v0", FEW)
+    recordings._recordings.cache_clear()
+    with caplog.at_level(logging.WARNING):
+        first = recordings.recordings_of(config)
+    assert "recording other vehicles" in caplog.text
+    assert first.said.shape == (3, 1, 21)
+    assert (first.count == 1).all()
+    assert (first.said["sends"] == 1).all()
+    assert np.abs(first.said["across_m"]).max() < first.said["pl_ct_m"].max()
+    caplog.clear()
+    recordings._recordings.cache_clear()
+    again = recordings.recordings_of(config.replace(cost_limit=3.0, observation={"form": "flat"}))
+    assert not caplog.records, "what the agent sees does not change what others say"
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one, other)
+    (file,) = (tmp_path / "recordings").glob("*.npz")
+    file.write_bytes(b"broken")
+    recordings._recordings.cache_clear()
+    np.testing.assert_array_equal(recordings.recordings_of(config).said, first.said)
+    recordings._recordings.cache_clear()
+
+
+def test_what_a_surrogate_cannot_do_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"perception\.others must be 'full' with faults 'nominal', got 'surrogate'"):
+        EnvConfig.build({"base": "highway-v0"}, {"faults": "nominal", "perception": {"others": "surrogate"}})
+    with pytest.raises(ConfigError, match=r"perception\.others must be 'full' where the vector engine"):
+        recordings.recordings_of(EnvConfig.build({"base": "two-way-v0"}, {"perception": {"others": "surrogate"}}))
