@@ -239,6 +239,11 @@ def _require_effect(
                 f"{name}.vehicle must be below {crew}, the vehicles that navigate (0: the ego), got "
                 f"{fault.vehicle}: name another, or none for all"
             )
+        if fault.kind == "v2v_lie" and crew == 1:
+            raise InputError(
+                f"{name}.kind must not be v2v_lie where no other vehicle navigates: set perception.others to full, and "
+                "perception.source to v2v or both"
+            )
         if fault.prn is not None and not ((track.system == fault.system) & (track.prn == fault.prn)).any():
             known = ", ".join(map(str, sorted(track.prn[track.system == fault.system]))) or "none"
             raise InputError(

@@ -15,9 +15,10 @@ from lanebound.envs.batch.perception import PerceptionBatch
 from lanebound.envs.batch.records_kernel import CAR, EGO
 from lanebound.envs.batch.surrogate_kernel import NOTE, SAID, Recordings, note, recite_rows
 from lanebound.envs.config import EnvConfig
+from lanebound.envs.core import DrivingEnv
 from lanebound.envs.perception import PerceptionConfig
 from lanebound.envs.registration import make_config
-from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 EPOCHS, CREW = 6, 3
 FEW: dict[str, Any] = {"sky": "open", "layouts": 1, "duration_s": 2.0, "perception": {"others": "surrogate"}}
@@ -146,3 +147,12 @@ def test_what_a_surrogate_cannot_do_is_refused() -> None:
         EnvConfig.build({"base": "highway-v0"}, {"faults": "nominal", "perception": {"others": "surrogate"}})
     with pytest.raises(ConfigError, match=r"perception\.others must be 'full' where the vector engine"):
         recordings.recordings_of(EnvConfig.build({"base": "two-way-v0"}, {"perception": {"others": "surrogate"}}))
+
+
+def test_lies_of_those_without_receivers_are_refused() -> None:
+    env = DrivingEnv(make_config("lanebound/CarFollowing-v0", {**FEW, "perception": {"source": "truth"}}))
+    lie = {"kind": "v2v_lie", "start_s": 0.5, "magnitude_m": 5.0}
+    with pytest.raises(
+        InputError, match=r"options\.faults\.0\.kind must not be v2v_lie where no other vehicle navigates"
+    ):
+        env.reset(seed=1, options={"faults": [lie]})
