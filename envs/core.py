@@ -15,6 +15,7 @@ from lanebound.envs.catalogue import world_of
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation import Observer
 from lanebound.envs.pictures import Pictures
+from lanebound.envs.recordings import require_recordable
 from lanebound.envs.scene import alert_limits_m, duration_s, navigator_config, set_scene
 from lanebound.envs.world import checked_command
 from lanebound.integrity.core.errors import InputError
@@ -221,6 +222,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         self.metadata = {**type(self).metadata, "render_fps": self.config.policy_hz}
         self.world = world_of(self.config)
         navigator_config(self.config, alert_limits_m(self.world, self.config))  # refuses its typos here, not at reset
+        require_recordable(self.config)
         self.observer = Observer(self.config.observation)
         self.action_space = self.world.action_type.space()
         self.observation_space = self.observer.space

@@ -80,6 +80,10 @@ class NavigationConfig(Config):
         """Time of the clock of the navigators at the start of an episode: the warm-up plus one epoch."""
         return self.warm_up_s + 1.0 / self.rate_hz
 
+    def epochs_before(self, epoch_s: float) -> int:
+        """Epochs of the approach before an episode."""
+        return max(1, round(self.warm_up_s / epoch_s))
+
     def steps_per_epoch(self, simulation_hz: int) -> int:
         """Simulation steps in a navigation epoch; the nearest number where the rates do not divide."""
         return max(1, round(simulation_hz / self.rate_hz))

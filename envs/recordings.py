@@ -11,10 +11,12 @@ import hashlib
 import logging
 import math
 import os
+import re
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache, lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -26,19 +28,24 @@ import lanebound.envs
 import lanebound.integrity
 from lanebound.envs.batch.surrogate_kernel import SAID, Recordings
 from lanebound.envs.config import EnvConfig
+from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.kernel_cache import cache_root
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.streams import named_generator
 
-__all__ = ["AWAY_M", "EPISODES", "SEED", "city_of", "epochs_of", "recordings_of"]
+__all__ = ["AWAY_M", "EPISODES", "SEED", "city_of", "epochs_of", "recordings_of", "require_recordable"]
 
 LOGGER = logging.getLogger("lanebound")
-EPISODES = 64  # recorded: sixteen in each of four cities, at hours of their own
+EPISODES = 64  # recorded, in cities and at hours drawn as in any episode
 SEED = 2**31  # of the first recorded episode; those of drives are drawn elsewhere
-AWAY_M = 20_000.0  # the ego stands there, beside every lane and out of everybody's way
+AWAY_M = 20_000.0  # the ego stands there, beyond the end of a road
 ON_DISK = 40
-NOT_HEARD = ("observation", "reward", "cost", "cost_limit", "rendering", "faults", "success_share", "success_behind_s")
+NOT_HEARD = (
+    "observation", "reward", "cost", "cost_limit", "rendering", "faults", "success_share", "success_behind_s",
+    "actuators", "keep_lane", "off_road_ends", "wrong_way_s",
+)  # fmt: skip
+OF_EGO = ("source", "offset_at_m", "offset_ct_m", "jump_m", "smoothing_s")  # of ``navigation``
 
 
 def recordings_of(config: EnvConfig) -> Recordings:
@@ -50,22 +57,33 @@ def recordings_of(config: EnvConfig) -> Recordings:
         The vector engine does not drive the world of this configuration, so nothing can be recorded.
     """
     heard = {name: value for name, value in config.to_dict().items() if name not in NOT_HEARD}
-    heard["perception"] = {"source": "v2v", "others": "full", "v2v": {"rate_hz": config.perception.v2v.rate_hz}}
-    return _recordings(EnvConfig.load(heard).to_json())
+    heard["navigation"] = {name: value for name, value in heard["navigation"].items() if name not in OF_EGO}
+    heard["perception"] = {"source": "v2v", "others": "full"}
+    return _recordings(EnvConfig.load(heard).to_json(), config.level.to_json())
 
 
 @lru_cache(maxsize=4)
-def _recordings(text: str) -> Recordings:
-    place = cache_root()
-    key = hashlib.blake2b(repr((_sources(), np.__version__, EPISODES, text)).encode(), digest_size=16).hexdigest()
+def _recordings(text: str, level: str) -> Recordings:
+    config = EnvConfig.from_json(text)
+    place, recorded = cache_root() if _is_ours(config, text) else None, config.level.recording
+    sky = b"" if recorded is None else Path(recorded).read_bytes()
+    inputs = repr((_sources(), np.__version__, version("highway-env"), EPISODES, text, level)).encode()
+    key = hashlib.blake2b(inputs + sky, digest_size=16).hexdigest()
     file = None if place is None else place / "recordings" / f"{key}.npz"
     found = None if file is None else _load(file)
     if found is None:
-        LOGGER.warning("lanebound: recording other vehicles, once for this configuration. This takes up to a minute.")
-        found = record(EnvConfig.from_json(text), range(SEED, SEED + EPISODES))
+        LOGGER.warning("lanebound: recording other vehicles, once for this configuration. This takes a minute or more.")
+        found = record(config, range(SEED, SEED + EPISODES))
         if file is not None:
             _save(file, found)
     return found
+
+
+def _is_ours(config: EnvConfig, text: str) -> bool:
+    """Whether the code of all parts is that of this package; recordings of others are not stored."""
+    kind = world_kind(config.base)
+    world = "" if kind is None or kind.world is None else kind.world.__module__
+    return world.partition(".")[0] in ("", "lanebound", "highway_env") and re.search(r'"[\w.]+:\w+"', text) is None
 
 
 @cache
@@ -84,17 +102,30 @@ def _sources() -> str:
 def record(config: EnvConfig, seeds: Sequence[int]) -> Recordings:
     """Record episodes with these seeds in the traffic of a configuration in which the others navigate."""
     from lanebound.envs.core import DrivingEnv
+    from lanebound.envs.scene import alert_limits_m, navigator_config
     from lanebound.envs.vector.recorder import Recorder
 
-    try:
-        single = DrivingEnv(config)
-        recorder = Recorder(single, len(seeds), AWAY_M)
-    except ConfigError as error:
+    single = DrivingEnv(config)
+    recorder = Recorder(single, len(seeds), AWAY_M)
+    notes = recorder.record(list(seeds), epochs_of(config, single.world))
+    settings = navigator_config(config, alert_limits_m(single.world, config))
+    return _recordings_in(notes, settings.odometer.dropout_mps)
+
+
+def require_recordable(config: EnvConfig) -> None:
+    """Refuse surrogates where the vector engine does not drive the world, so that nothing can be recorded.
+
+    Raises
+    ------
+    ConfigError
+        They are asked for and cannot be made.
+    """
+    kind, radio = world_kind(config.base), config.perception
+    if radio.has_radio and not radio.others_navigate and (kind is None or kind.support is None):
         raise ConfigError(
-            f"perception.others must be 'full' where the vector engine cannot record the others, got 'surrogate': "
-            f"{error}"
-        ) from None
-    return _recordings_in(recorder.record(list(seeds), epochs_of(config, single.world)))
+            f"perception.others must be 'full' with base {config.base!r}, which the vector engine does not drive, got "
+            "'surrogate': set it to full"
+        )
 
 
 def city_of(seed: int, cities: int) -> int:
@@ -112,7 +143,7 @@ def epochs_of(config: EnvConfig, world: AbstractEnv) -> int:
     return math.ceil(duration_s(config, world) * config.navigation.rate_hz)
 
 
-def _recordings_in(notes: Records) -> Recordings:
+def _recordings_in(notes: Records, still_mps: float) -> Recordings:
     """The vehicles in notes (E, K, C) NOTE of E episodes; those at the start come first, the others as they enter."""
     recorded = [_vehicles_in(of_episode) for of_episode in notes]
     some = [vehicles for vehicles in recorded if vehicles] or [[(0, np.zeros(1, SAID))]]
@@ -125,12 +156,12 @@ def _recordings_in(notes: Records) -> Recordings:
         count[e], began[e] = len(vehicles), sum(first == 0 for first, _ in vehicles)
         for i, (_, rows) in enumerate(vehicles):
             said[e, i, : rows.size], lengths[e, i] = rows, rows.size
-    return Recordings(said, lengths, began, count)
+    return Recordings(said, lengths, began, count, np.array([still_mps]))
 
 
 def _vehicles_in(notes: Records) -> list[tuple[int, Records]]:
     """First epoch and SAID of each vehicle in notes (K, C), in the order of their names."""
-    key, found = notes["key"], {}
+    key, found = notes["move"]["key"], {}
     for slot in range(key.shape[1]):
         for name in np.unique(key[:, slot][key[:, slot] > 0]).tolist():
             rows = np.flatnonzero(key[:, slot] == name)

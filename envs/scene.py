@@ -208,7 +208,8 @@ def give_faults(episodes: Episodes, row: int, faults: Sequence[Fault], duration_
         One of them cannot act.
     """
     if faults:
-        _require_effect(faults, episodes.navigation, row, duration_s)
+        alone = episodes.perception.recordings is not None
+        _require_effect(faults, episodes.navigation, row, duration_s, alone)
     if episodes.navigation is not None:
         _put(episodes.navigation, row, episodes.config, faults)
 
@@ -221,9 +222,12 @@ def _put(navigation: NavigationBatch, row: int, config: EnvConfig, faults: Seque
 
 
 def _require_effect(
-    faults: Sequence[Fault], navigation: NavigationBatch | None, row: int, duration_s: float
+    faults: Sequence[Fault], navigation: NavigationBatch | None, row: int, duration_s: float, alone: bool
 ) -> None:  # fmt: skip
-    """Refuse faults that cannot act in an episode of ``duration_s`` [s]: a driver would seem robust against them."""
+    """Refuse faults that cannot act in an episode of ``duration_s`` [s]: a driver would seem robust against them.
+
+    ``alone``: the others speak without navigating.
+    """
     if navigation is None:
         raise InputError("options.faults must be left out where nothing navigates: set navigation.source to navigator")
     track, crew = navigation.skies.risen(int(navigation.hour[row])), navigation.crew(row)
@@ -239,10 +243,16 @@ def _require_effect(
                 f"{name}.vehicle must be below {crew}, the vehicles that navigate (0: the ego), got "
                 f"{fault.vehicle}: name another, or none for all"
             )
-        if fault.kind == "v2v_lie" and crew == 1:
+        if fault.kind == "v2v_lie" and (crew == 1 or fault.vehicle == 0):
             raise InputError(
-                f"{name}.kind must not be v2v_lie where no other vehicle navigates: set perception.others to full, and "
-                "perception.source to v2v or both"
+                f"{name}.kind must not be v2v_lie where no other vehicle lies, got it for vehicle {fault.vehicle}: "
+                "name another; perception.source must be v2v or both, and perception.others full"
+            )
+        # Under full a fault of all vehicles acts in the others as well, whose surrogates have no receivers.
+        if alone and fault.vehicle != 0:
+            raise InputError(
+                f"{name}.vehicle must be 0 with perception.others surrogate, got {fault.vehicle}: name the ego, or set "
+                "perception.others to full"
             )
         if fault.prn is not None and not ((track.system == fault.system) & (track.prn == fault.prn)).any():
             known = ", ".join(map(str, sorted(track.prn[track.system == fault.system]))) or "none"

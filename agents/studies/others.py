@@ -23,6 +23,7 @@ from lanebound.envs.core import EPISODE_SEEDS, DrivingEnv
 from lanebound.envs.recordings import AWAY_M, EPISODES, SEED, city_of, epochs_of
 from lanebound.envs.vector.recorder import Recorder
 from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.streams import named_generator
 
@@ -33,6 +34,8 @@ MORE = 3  # times as many cities as were recorded
 BINS = 400  # of a marginal, at quantiles of both kinds together
 NO_LEVEL_M = 1e4  # in place of a missing level
 LAGS_S = (0.5, 2.0)
+TURNING, BRAKING, STANDING = 0.1, 1.0, 0.1  # [rad/s], [m/s^2], [m/s]
+FEWEST_CITIES = 3  # 84 exchanges of whole cities: a p-value of 0.012 at least
 
 
 class OthersConfig(Config):
@@ -50,17 +53,24 @@ def assess_others(config: OthersConfig, env: EnvConfig, out: Path) -> dict[str, 
     ------
     ConfigError
         The vector engine does not drive the world of ``env``.
+    InputError
+        It has too few cities.
     """
     surrogate = env.replace(perception={"source": "v2v", "others": "surrogate"})
     full, count, seed = env.replace(perception={"source": "v2v", "others": "full"}), config.episodes, config.seed
-    spoken, recorded = _of_each_recording(count, seed)
+    if env.layouts < FEWEST_CITIES:
+        raise InputError(
+            f"layouts must be {FEWEST_CITIES} or more for a test by city, got {env.layouts}: raise it by --set layouts"
+        )
+    spoken, recorded = _of_each_recording(count, 2 * seed + 1)  # other traffic than that of those that navigate
     said = _notes(surrogate, spoken)
     kinds = {"same": (env.layouts, range(env.layouts)), "other": (MORE * env.layouts, range(env.layouts, 10**9))}
     tests, hz = _marginals() | {"spread of episodes' mean log level across": _shared}, env.navigation.rate_hz
+    tests["correlation of errors across of two vehicles"] = _together
     tests |= {f"autocorrelation of the error across, {lag:g} s": _autocorrelation(lag, hz) for lag in LAGS_S}
     found: dict[str, dict[str, Any]] = {}
     for kind, (cities, allowed) in kinds.items():
-        seeds = _seeds_in(cities, allowed, count, seed)
+        seeds = _seeds_in(cities, allowed, count, 2 * seed)
         navigated, rng = _notes(full.replace(layouts=cities), seeds), named_generator(seed, "others")
         of_full, of_surrogate = np.arange(count), np.arange(count, 2 * count)
         if kind == "other":
@@ -103,26 +113,36 @@ def _notes(env: EnvConfig, seeds: Sequence[int]) -> Records:
 def _marginals() -> dict[str, Any]:
     """Tests of quantities of a vehicle in an epoch."""
     quantities: dict[str, Callable[[Records], Array]] = {
-        "error along [m]": lambda s: np.abs(s["along_m"]),
-        "error across [m]": lambda s: np.abs(s["across_m"]),
-        "error of the heading [rad]": lambda s: np.abs(s["turn_rad"]),
-        "error of the speed, relative": lambda s: np.abs(s["scale"]),
-        "level along [m]": lambda s: np.minimum(s["pl_at_m"], NO_LEVEL_M),
-        "level across [m]": lambda s: np.minimum(s["pl_ct_m"], NO_LEVEL_M),
-        "error over level, along": lambda s: np.abs(s["along_m"]) / np.minimum(s["pl_at_m"], NO_LEVEL_M),
-        "error over level, across": lambda s: np.abs(s["across_m"]) / np.minimum(s["pl_ct_m"], NO_LEVEL_M),
+        "error along [m]": lambda n: n["said"]["along_m"],
+        "error across [m]": lambda n: n["said"]["across_m"],
+        "error of the course [rad]": lambda n: n["said"]["turn_rad"],
+        "error of the course in turns [rad]": lambda n: n["said"]["turn_rad"][np.abs(n["move"]["yaw_radps"]) > TURNING],
+        "error of the speed [m/s]": lambda n: n["said"]["speed_mps"],
+        "error of the speed, braking [m/s]": lambda n: n["said"]["speed_mps"][n["move"]["braking_mps2"] > BRAKING],
+        "error of the speed, standing [m/s]": lambda n: n["said"]["speed_mps"][
+            np.abs(n["move"]["speed_mps"]) < STANDING
+        ],
+        "level along [m]": lambda n: np.minimum(n["said"]["pl_at_m"], NO_LEVEL_M),
+        "level across [m]": lambda n: np.minimum(n["said"]["pl_ct_m"], NO_LEVEL_M),
+        "error over level, along": lambda n: (
+            np.abs(n["said"]["along_m"]) / np.minimum(n["said"]["pl_at_m"], NO_LEVEL_M)
+        ),
+        "error over level, across": lambda n: (
+            np.abs(n["said"]["across_m"]) / np.minimum(n["said"]["pl_ct_m"], NO_LEVEL_M)
+        ),
     }
     shares: dict[str, Callable[[Records], Array]] = {
         "share of errors beyond a level": _beyond,
-        "share of levels across over 1 m": lambda s: s["pl_ct_m"] > 1.0,
-        "share of silent vehicles": lambda s: s["sends"] == 0,
+        "share of levels across over 1 m": lambda n: n["said"]["pl_ct_m"] > 1.0,
+        "share of silent vehicles": lambda n: n["said"]["sends"] == 0,
     }
     of_all: dict[str, Any] = {name: _marginal(of) for name, of in quantities.items()}
     return of_all | {name: _share(of) for name, of in shares.items()}
 
 
-def _beyond(said: Records) -> Array:
+def _beyond(notes: Records) -> Array:
     """Whether an error exceeds its level."""
+    said = notes["said"]
     return np.asarray((np.abs(said["along_m"]) > said["pl_at_m"]) | (np.abs(said["across_m"]) > said["pl_ct_m"]))
 
 
@@ -131,14 +151,20 @@ def _marginal(quantity: Callable[[Records], Array]) -> Any:
 
     def test(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
         values = [quantity(_there(of_episode)) for notes in (full, surrogate) for of_episode in notes]
-        edges = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, BINS + 1)))
+        every = np.concatenate(values)
+        if not every.size:
+            return {"difference": 0.0, "p": 1.0, "full": np.nan, "surrogate": np.nan}
+        edges = np.append(np.unique(np.quantile(every, np.linspace(0.0, 1.0, BINS + 1))), np.inf)
         counts = np.array([np.histogram(v, edges)[0] for v in values], dtype=np.float64)
 
         def distance(first: Array, second: Array) -> Any:
             one, other = (np.cumsum(c, -1) / np.maximum(c.sum(-1, keepdims=True), 1.0) for c in (first, second))
             return np.abs(one - other).max(-1)
 
-        medians = [float(np.median(np.concatenate(v))) for v in (values[: len(full)], values[len(full) :])]
+        medians = [
+            float(np.median(np.abs(np.concatenate(v)))) if np.concatenate(v).size else np.nan
+            for v in (values[: len(full)], values[len(full) :])
+        ]
         return exchange(counts, distance) | {"full": medians[0], "surrogate": medians[1]}
 
     return test
@@ -163,7 +189,7 @@ def _autocorrelation(lag_s: float, hz: float) -> Any:
         sums = []
         for notes in (full, surrogate):
             for of_episode in notes:
-                x, key = of_episode["said"]["across_m"].astype(np.float64), of_episode["key"]
+                x, key = of_episode["said"]["across_m"].astype(np.float64), of_episode["move"]["key"]
                 same = (key[lag:] == key[:-lag]) & (key[lag:] > 0)
                 power = 0.5 * (x[lag:] ** 2 + x[:-lag] ** 2)
                 sums.append(((x[lag:] * x[:-lag])[same].sum(), power[same].sum()))
@@ -175,7 +201,7 @@ def _autocorrelation(lag_s: float, hz: float) -> Any:
 def _shared(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
     """The difference of the standard deviations of episodes' means: what vehicles of an episode share."""
     means = [
-        np.log(np.minimum(_there(of_episode)["pl_ct_m"], NO_LEVEL_M)).mean() if (of_episode["key"] > 0).any() else 0.0
+        np.log(np.minimum(_there(of_episode)["said"]["pl_ct_m"], NO_LEVEL_M)).mean() if _there(of_episode).size else 0.0
         for notes in (full, surrogate)
         for of_episode in notes
     ]
@@ -231,10 +257,21 @@ class _Exchange:
         return {"difference": seen, "p": (1 + at_least) / (1 + self.exchanges)}
 
 
+def _together(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:
+    """The difference of the correlations of the errors across of two vehicles at one time."""
+    sums = []
+    for notes in (full, surrogate):
+        for of_episode in notes:
+            x = np.where(of_episode["move"]["key"] > 0, of_episode["said"]["across_m"], 0.0).astype(np.float64)
+            others, square = (of_episode["move"]["key"] > 0).sum(-1) - 1, (x * x).sum(-1)
+            sums.append((((x.sum(-1)) ** 2 - square)[others > 0].sum(), (others * square)[others > 0].sum()))
+    return _ratio(np.array(sums), exchange)
+
+
 def _there(notes: Records) -> Records:
-    """What vehicles have said, (n,) SAID; empty slots are left out."""
-    said: Records = notes["said"][notes["key"] > 0]
-    return said
+    """Notes (n,) of vehicles; empty slots are left out."""
+    found: Records = notes[notes["move"]["key"] > 0]
+    return found
 
 
 def difference_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:

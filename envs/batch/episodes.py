@@ -184,7 +184,8 @@ class Episodes:
         self.perception.begin(rows, seeds, there, self.cars)
         heard = [(0.0, None)] if approach is None else approach.heard
         if self.perception.recordings is not None:
-            heard = [(time_s, None) for time_s in heard_at(float(rules["epoch_s"][0]))]
+            epoch_s = float(rules["epoch_s"][0])
+            heard = [(time_s, None) for time_s in heard_at(epoch_s, self.config.navigation.epochs_before(epoch_s))]
         for time_s, solution in heard if perceives(self.config.perception) else ():
             of_all, times = None if solution is None else fixes_of(solution), np.full(rows.size, time_s)
             self.perception.perceive(rows, local, times, of_all, self.cars, self.ego)

@@ -7,7 +7,6 @@ navigation of an episode begins some seconds before it, on a straight approach.
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
 from typing import Any, NamedTuple
@@ -85,9 +84,10 @@ def draw_starts(seeds: Sequence[int], layouts: int, hours: int, crew: Flags, sen
     return Starts(drawn[0], drawn[1], drawn[2], shift, noise)
 
 
-def heard_at(epoch_s: float) -> list[float]:
-    """Times before an episode at which the radio is on, and its start [s]."""
-    return [ago * epoch_s for ago in range(-math.floor(HEARD_S / epoch_s + 1e-9), 1)]
+def heard_at(epoch_s: float, epochs_before: int) -> list[float]:
+    """Times at which the radio is on before an episode, after so many epochs of navigation, and its start [s]."""
+    times = [ago * epoch_s for ago in range(1 - epochs_before, 1)]
+    return [time_s for time_s in times if time_s >= -HEARD_S]
 
 
 def fleet_generator(seed: int) -> np.random.Generator:
@@ -159,7 +159,7 @@ class NavigationBatch:
         self.forecast = forecast
         self.count, self.vehicles, self.step_s, self.steps = count, vehicles, step_s, steps
         self.epoch_s = step_s * steps
-        self.epochs_before = max(1, round(config.warm_up_s / self.epoch_s))
+        self.epochs_before = config.epochs_before(self.epoch_s)
         self._one = Navigator(settings, skies.track, cities.mask, 0, 1)
         if road_map is not None:
             self._one.use_map(road_map, one_in=vehicles)
@@ -257,7 +257,7 @@ class NavigationBatch:
         heading, noise = motions["heading_rad"].ravel()[present], starts.noise.reshape(-1, 3)[present]
         place_all(navigator, self.config, begin.reshape(-1, 2)[present], heading, noise, present)
         sky, index = self.skies.empty(rows.size), np.where(self._there[rows], every[:, None], rows.size).ravel()
-        hour, hours = self.hour[rows], self.skies.table
+        hour, hours, on_air = self.hour[rows], self.skies.table, heard_at(self.epoch_s, self.epochs_before)
         for step in range(1, steps + 1):
             last = end if step == steps else None
             rk.approach_step(0, rows.size, every, motions, begin, ahead, step * self.step_s, last)
@@ -269,7 +269,7 @@ class NavigationBatch:
             fill_motion(motions, every, self.step_s, self._down, truth)
             self.measurements = navigator.measure(Truth.of(clock, self.epoch_s, truth), self.skies.view(sky, index))
             solution = navigator.solve(self.measurements)
-            if last is not None or (self.vehicles > 1 and -HEARD_S <= time_s < -0.5 * self.epoch_s):
+            if last is not None or (self.vehicles > 1 and time_s in on_air):
                 heard.append((time_s, solution))
         return Approach(solution, heard)
 

@@ -90,7 +90,8 @@ class PerceptionBatch:
         self._there = np.ones((n, slots), dtype=np.bool_)
         spoken = heard if self.recordings is not None else 0
         one, every = np.zeros((3, n), dtype=np.int64), np.zeros((n, spoken), dtype=np.int64)
-        self._speakers = gk.Speakers(episode=one[0], now=one[1], since=every, began=one[2])
+        moves = np.zeros((n, spoken), gk.MOVE)
+        self._speakers = gk.Speakers(episode=one[0], now=one[1], since=every, began=one[2], moves=moves)
         radio = pk.Radio(
             np.zeros((n, late, heard), pk.SIGHTING),
             np.full((n, late, heard), -1, dtype=np.int64),
@@ -159,6 +160,7 @@ class PerceptionBatch:
             who, recorded = self._speakers, len(self.recordings.count)
             who.episode[rows] = [int(named_generator(seed, "others").integers(recorded)) for seed in seeds]
             who.now[rows] = who.since[rows] = 0
+            who.moves[rows] = np.zeros((), gk.MOVE)
             who.began[rows] = (slot >= 0).sum(axis=1)
 
     def adopt(self, rows: Rows, other: PerceptionBatch, theirs: Rows) -> None:

@@ -1,8 +1,9 @@
 """Other vehicles that speak with recorded errors: what a receiver of their own has said in a recorded episode.
 
 A recorded episode holds, for each vehicle and epoch, the error of what it broadcast and its levels (SAID). A vehicle
-that speaks with them says its own true pose and speed plus that error. Errors along and across are along its true
-heading and to the right of it.
+that speaks with them says its own true position, course and speed plus that error. Errors along and across are along
+its true heading and to the right of it. Courses and speeds are those of the epoch: the course contains the side slip of
+a turn, and the speed is its mean, as the wheels count it.
 """
 
 from __future__ import annotations
@@ -13,49 +14,62 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.envs.batch.perception_kernel import COURSE_FROM_MPS
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 
-__all__ = ["NOTE", "SAID", "SLOWEST_MPS", "Recordings", "Speakers", "note", "recite_rows"]
+__all__ = ["MOVE", "NOTE", "SAID", "Recordings", "Speakers", "note", "recite_rows"]
 
-SLOWEST_MPS = 1.0  # of the speed that an error of the odometer's scale is taken of
+MOST_SLIP = 0.9  # sine, of a car at full lock 0.65
 
 SAID = record(
     along_m=("f4", "error along the true heading"),
     across_m=("f4", "error to the right of it"),
-    turn_rad=("f4", "error of the heading"),
-    scale=("f4", "error of the speed over the true one, or over 1 m/s below that"),
+    turn_rad=("f4", "error of the course, or of the heading at low speed"),
+    speed_mps=("f4", "error of the speed"),
     pl_at_m=("f4", "protection level along the heading, inf when missing"),
     pl_ct_m=("f4", "protection level across the heading, inf when missing"),
     sends=("i4", "1 where the vehicle has a position and broadcasts it"),
 )
-NOTE = record(said=(SAID, "what it says"), key=("i8", "name of the vehicle, 0 for an empty slot"))
+MOVE = record(
+    key=("i8", "name of the vehicle, 0 for none"),
+    heading_rad="at the last epoch",
+    last_mps="speed at the last epoch",
+    course_rad="true course now, the heading at low speed",
+    speed_mps="mean speed of the epoch",
+    yaw_radps="mean yaw rate of the epoch",
+    braking_mps2="mean deceleration of the epoch",
+)
+NOTE = record(said=(SAID, "what a vehicle says"), move=(MOVE, "how it moves"))
 
 
 class Recordings(NamedTuple):
     """What the vehicles of E recorded episodes have said.
 
     said (E, P, K) SAID: by epoch since the start of the episode, or since the vehicle has entered it; epochs (E, P): of
-    each vehicle; began (E,): vehicles at the start, which come first; count (E,): all vehicles.
+    each vehicle; began (E,): vehicles at the start, which come first; count (E,): all vehicles; still_mps (1,): mean
+    speed below which wheels show rest.
     """
 
     said: Records
     epochs: NDArray[np.int64]
     began: NDArray[np.int64]
     count: NDArray[np.int64]
+    still_mps: NDArray[np.float64]
 
 
 class Speakers(NamedTuple):
     """Who speaks in N environments with C slots.
 
     episode (N,): the recorded one; now (N,): epochs since the start; since (N, C): epoch in which the vehicle of a slot
-    has entered; began (N,): vehicles at the start.
+    has entered; began (N,): vehicles at the start; moves (N, C) MOVE.
     """
 
     episode: NDArray[np.int64]
     now: NDArray[np.int64]
     since: NDArray[np.int64]
     began: NDArray[np.int64]
+    moves: Records
 
 
 @jit(borrows=True)
@@ -66,17 +80,35 @@ def recite_rows(first, last, rows, cars, egos, pictures, recordings, speakers, t
     one, those that have entered as others that have.
     """
     r, who, p = recordings, speakers, pictures
+    epoch_s = p.of_radio[0].epoch_s
     for n in range(first, last):
         e = rows[n]
         k, ago = who.episode[e], min(time[n], 0.0)
-        who.now[e] = max(round(time[n] / p.of_radio[0].epoch_s), 0)
+        who.now[e] = max(round(time[n] / epoch_s), 0)
         for v in range(1, egos[e].vehicles):
             car, slot = cars[e, v], cars[e, v].slot
             if slot < 0 or slot >= p.spoken.shape[1]:
                 continue
-            place = _place(p.slots[e, slot].key - 1, who.began[e], r.began[k], r.count[k])
+            key, move = p.slots[e, slot].key, who.moves[e, slot]
+            _follow(move, car, key, epoch_s)
+            place = _place(key - 1, who.began[e], r.began[k], r.count[k])
             epoch = _epoch(who.now[e] - who.since[e, slot], r.epochs[k, place])
-            _say(p.spoken[e, slot], car, r.said[k, place, epoch], ago)
+            _say(p.spoken[e, slot], car, move, r.said[k, place, epoch], ago, r.still_mps[0])
+
+
+@jit(inline=True)
+def _follow(move, car, key, epoch_s):  # type: ignore[no-untyped-def]
+    """Fill how a vehicle moves in the epoch that ends now; one that has just come goes straight on."""
+    if move.key != key:
+        move.key, move.heading_rad, move.last_mps = key, car.heading, car.speed
+    turn = car.heading - move.heading_rad
+    move.yaw_radps = (turn - 2.0 * math.pi * round(turn / (2.0 * math.pi))) / epoch_s
+    move.speed_mps, move.braking_mps2 = 0.5 * (car.speed + move.last_mps), (move.last_mps - car.speed) / epoch_s
+    move.course_rad = car.heading
+    if abs(car.speed) > COURSE_FROM_MPS:  # the middle of the car moves sideways in a turn, the rear axle does not
+        slip = 0.5 * car.length * move.yaw_radps / car.speed
+        move.course_rad += math.asin(min(max(slip, -MOST_SLIP), MOST_SLIP))
+    move.heading_rad, move.last_mps = car.heading, car.speed
 
 
 @jit(inline=True)
@@ -101,33 +133,39 @@ def _epoch(age, epochs):  # type: ignore[no-untyped-def]
 
 
 @jit(inline=True)
-def _say(c, car, said, ago_s):  # type: ignore[no-untyped-def]
-    """Fill a CLAIM of a true vehicle, ``ago_s`` <= 0 before it is where it is."""
+def _say(c, car, move, said, ago_s, still_mps):  # type: ignore[no-untyped-def]
+    """Fill a CLAIM of a true vehicle, ``ago_s`` <= 0 before it is where it is; wheels at rest show no error."""
     cos, sin = math.cos(car.heading), math.sin(car.heading)
     along = said.along_m + car.speed * ago_s
     c.x_m = car.x + along * cos - said.across_m * sin
     c.y_m = car.y + along * sin + said.across_m * cos
-    c.heading_rad = car.heading + said.turn_rad
-    c.speed_mps = car.speed + said.scale * max(abs(car.speed), SLOWEST_MPS)
+    c.heading_rad = move.course_rad + said.turn_rad
+    c.speed_mps = move.speed_mps + said.speed_mps if abs(move.speed_mps) >= still_mps else 0.0
     c.pl_at_m, c.pl_ct_m, c.sends = said.pl_at_m, said.pl_ct_m, said.sends
 
 
 @jit(borrows=True)
 def note(rows, cars, egos, pictures, notes):  # type: ignore[no-untyped-def]
-    """Note what the vehicles of environments ``rows`` say now, with its errors: notes (N, C) NOTE."""
+    """Note what the vehicles of environments ``rows`` say now, with its errors: notes (N, C) NOTE of the last epoch."""
     for e in rows:
         for i in range(notes.shape[1]):
-            notes[e, i].key = 0
+            if pictures.slots[e, i].key != notes[e, i].move.key:
+                notes[e, i].move.key = 0
+        there = np.zeros(notes.shape[1], np.bool_)
         for v in range(1, egos[e].vehicles):
             car, slot = cars[e, v], cars[e, v].slot
             if slot < 0 or slot >= notes.shape[1]:
                 continue
+            there[slot] = True
             c, row = pictures.spoken[e, slot], notes[e, slot]
-            said, cos, sin = row.said, math.cos(car.heading), math.sin(car.heading)
-            x, y = c.x_m - car.x, c.y_m - car.y
+            said, move = row.said, row.move
+            _follow(move, car, pictures.slots[e, slot].key, pictures.of_radio[0].epoch_s)
+            cos, sin, x, y = math.cos(car.heading), math.sin(car.heading), c.x_m - car.x, c.y_m - car.y
             said.along_m, said.across_m = x * cos + y * sin, y * cos - x * sin
-            turn = c.heading_rad - car.heading
+            turn = c.heading_rad - move.course_rad
             said.turn_rad = turn - 2.0 * math.pi * round(turn / (2.0 * math.pi))
-            said.scale = (c.speed_mps - car.speed) / max(abs(car.speed), SLOWEST_MPS)
+            said.speed_mps = c.speed_mps - move.speed_mps
             said.pl_at_m, said.pl_ct_m, said.sends = c.pl_at_m, c.pl_ct_m, c.sends
-            row.key = pictures.slots[e, slot].key
+        for i in range(notes.shape[1]):
+            if not there[i]:
+                notes[e, i].move.key = 0

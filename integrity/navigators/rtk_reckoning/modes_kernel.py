@@ -16,6 +16,9 @@ from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_b
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Array, Epoch
 from lanebound.integrity.positioning.codes_kernel import DOPPLER, IMU_ODOMETER, NONE, UNDECIDED
 
+CREEPING_MPS = 1.0  # slower, the side slip moves the position as much as the path does
+SIGMAS = 5.0  # of the yaw rate in that bound
+
 __all__ = ["advance_doppler", "advance_imu_odometer", "advance_nothing", "doppler_is_tighter", "move", "stand"]
 
 
@@ -79,8 +82,23 @@ def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
         w.run = par.dt * speed
         move(vehicle, w.run * s, w.run * c)
         b_theta, bias = heading_bias(vehicle, rules), rules.bias + rules.scale * abs(speed)
+        aside = _slip_bound(vehicle.heading, par, speed, w.turning)
         for k in range(2):
-            step_odometer(w.step, speed, s, c, rules.sigma, bias, b_theta, vehicle.growth[k])
+            g = vehicle.growth[k]
+            step_odometer(w.step, speed, s, c, rules.sigma, bias, b_theta, g)
+            g.box_e += aside * abs(w.cos_h)
+            g.box_n += aside * abs(w.sin_h)
+
+
+@jit
+def _slip_bound(heading: Any, par: Any, speed: float, turning: float) -> float:
+    """Bound of what an error of the yaw rate moves the reference point sideways in an epoch of creeping [m].
+
+    The growth of the error of the heading over the path covers it in faster drives: there it is at least as large.
+    """
+    if abs(speed) > CREEPING_MPS:
+        return 0.0
+    return float(par.dt * par.lever.axle * SIGMAS * math.sqrt(heading.p_bb + heading.p_ss * turning * turning))
 
 
 @jit

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.perception import PerceptionConfig
 from lanebound.envs.registration import make_config
+from lanebound.envs.vector.crossing_kernel import INSIDE
+from lanebound.envs.vector.recorder import Recorder
 from lanebound.integrity.core.errors import ConfigError, InputError
 
 EPOCHS, CREW = 6, 3
@@ -28,11 +31,11 @@ RNG = np.random.default_rng(3)
 def _recordings(episodes: int = 2, began: int = CREW, count: int = CREW) -> Recordings:
     """Random ones, of vehicles that all stay."""
     said = np.zeros((episodes, count, EPOCHS), SAID)
-    for name in ("along_m", "across_m", "turn_rad", "scale", "pl_at_m", "pl_ct_m"):
+    for name in ("along_m", "across_m", "turn_rad", "speed_mps", "pl_at_m", "pl_ct_m"):
         said[name] = RNG.uniform(0.1, 0.4, said.shape)
     said["sends"] = 1
     lengths = np.full((episodes, count), EPOCHS)
-    return Recordings(said, lengths, np.full(episodes, began), np.full(episodes, count))
+    return Recordings(said, lengths, np.full(episodes, began), np.full(episodes, count), np.full(1, 0.15))
 
 
 def _street(given: Recordings, seed: int = 5) -> tuple[PerceptionBatch, Any, Any]:
@@ -41,15 +44,16 @@ def _street(given: Recordings, seed: int = 5) -> tuple[PerceptionBatch, Any, Any
     cars, egos = np.zeros((1, 1 + CREW), CAR), np.zeros(1, EGO)
     cars["slot"], egos["vehicles"] = np.arange(-1, CREW), 1 + CREW
     cars["x"], cars["y"] = RNG.uniform(-40.0, 40.0, (2, 1, 1 + CREW))
-    cars["heading"], cars["speed"] = RNG.uniform(-3.0, 3.0, (1, 4)), RNG.uniform(0.0, 20.0, (1, 4))
+    cars["heading"], cars["speed"] = RNG.uniform(-3.0, 3.0, (1, 4)), RNG.uniform(3.0, 20.0, (1, 4))
     batch.begin(np.zeros(1, np.int64), [seed], np.ones((1, CREW), np.bool_), cars)
     return batch, cars, egos
 
 
 def _recite(batch: PerceptionBatch, cars: Any, egos: Any, time_s: float) -> Any:
     rows, p = np.zeros(1, np.int64), batch.pictures
-    recite_rows(0, 1, rows, cars, egos, p, batch.recordings, batch._speakers, np.array([time_s]))
     notes = np.zeros((1, CREW), NOTE)
+    notes["move"] = batch._speakers.moves
+    recite_rows(0, 1, rows, cars, egos, p, batch.recordings, batch._speakers, np.array([time_s]))
     note(rows, cars, egos, p, notes)
     return notes[0]
 
@@ -97,6 +101,44 @@ def test_who_speaks_as_whom(began: int, count: int, keys: Any, expected: Any) ->
     assert_allclose(heard, given.said["across_m"][0, list(expected), 0], rtol=1e-4)
 
 
+def test_in_a_turn_the_course_is_said_and_at_rest_no_speed() -> None:
+    given = _recordings()
+    batch, cars, egos = _street(given)
+    _recite(batch, cars, egos, 0.0)
+    cars["heading"][0, 1:] += (0.05, 0.0, 0.0)  # 0.5 rad/s
+    cars["speed"][0, 1:] = 10.0, 0.0, 10.0
+    batch._speakers.moves["last_mps"][0] = 10.0, 0.0, 12.0
+    cars["length"][0, 1:] = 5.0
+    _recite(batch, cars, egos, 0.1)
+    said, claims = given.said[batch._speakers.episode[0], :, 1], batch.pictures.spoken[0]
+    slip = claims["heading_rad"] - cars["heading"][0, 1:] - said["turn_rad"]
+    assert_allclose(slip, [np.arcsin(2.5 * 0.5 / 10.0), 0.0, 0.0], atol=1e-6)
+    assert_allclose(claims["speed_mps"], [10.0 + said["speed_mps"][0], 0.0, 11.0 + said["speed_mps"][2]], rtol=1e-6)
+
+
+def test_nobody_heeds_the_ego_of_a_recording() -> None:
+    """In Intersection one that seems to stand inside keeps the others from entering."""
+    config = make_config("lanebound/Intersection-v0", {"sky": "open", "layouts": 1, "duration_s": 6.0})
+    driven = []
+    for away_m in (recordings.AWAY_M, 2.0 * recordings.AWAY_M):
+        recorder = Recorder(DrivingEnv(config), 3, away_m)
+        recorder.record([1, 2, 3], 60)
+        cars, kind = recorder.episodes.cars, recorder.roads.crossing.parts["kind"]
+        assert (kind[cars["lane"][:, 0]] != INSIDE).all()
+        driven.append(cars[["x", "y", "heading", "speed"]][:, 1:].copy())
+    np.testing.assert_array_equal(driven[0], driven[1])
+
+
+def test_the_radio_is_on_for_as_long_as_that_of_receivers() -> None:
+    epochs = []
+    for others in ("full", "surrogate"):
+        env = DrivingEnv(make_config("lanebound/CarFollowing-v0", {**FEW, "perception": {"others": others}}))
+        env.reset(seed=1)
+        assert env.belief_loop is not None
+        epochs.append(int(env.belief_loop.episodes.perception.pictures.picture["epoch"][0]))
+    assert epochs[0] == epochs[1] > 3
+
+
 def test_one_that_enters_begins_at_the_beginning() -> None:
     given = _recordings(1, 2, 4)
     batch, cars, egos = _street(given)
@@ -104,7 +146,7 @@ def test_one_that_enters_begins_at_the_beginning() -> None:
     batch.enter(0, 1, 4, 5.0, 2.0)
     for age in range(3):
         heard = _recite(batch, cars, egos, 0.4 + 0.1 * age)
-        assert heard["key"][1] == 4
+        assert heard["move"]["key"][1] == 4
         assert_allclose(heard["said"]["across_m"][1], given.said["across_m"][0, 2, age], rtol=1e-4)
 
 
@@ -145,8 +187,20 @@ def test_recordings_are_made_once_and_kept(
 def test_what_a_surrogate_cannot_do_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"perception\.others must be 'full' with faults 'nominal', got 'surrogate'"):
         EnvConfig.build({"base": "highway-v0"}, {"faults": "nominal", "perception": {"others": "surrogate"}})
-    with pytest.raises(ConfigError, match=r"perception\.others must be 'full' where the vector engine"):
-        recordings.recordings_of(EnvConfig.build({"base": "two-way-v0"}, {"perception": {"others": "surrogate"}}))
+    with pytest.raises(ConfigError, match=r"perception\.others must be 'full' with base 'merge-generic-v1'"):
+        DrivingEnv(EnvConfig.build({"base": "merge-generic-v1"}, {"perception": {"others": "surrogate"}}))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_recordings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A few recorded episodes, kept apart from those of the user."""
+    folder = tmp_path_factory.mktemp("recordings")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(recordings, "EPISODES", 3)
+        patched.setattr(recordings, "cache_root", lambda: folder)
+        recordings._recordings.cache_clear()
+        yield
+    recordings._recordings.cache_clear()
 
 
 def test_lies_of_those_without_receivers_are_refused() -> None:

@@ -61,10 +61,12 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _few_recordings() -> Iterator[None]:
-    """Four recorded episodes are enough to compare."""
+def _few_recordings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Four recorded episodes are enough to compare; they are kept apart from those of the user."""
+    folder = tmp_path_factory.mktemp("recordings")
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(recordings, "EPISODES", 4)
+        patched.setattr(recordings, "cache_root", lambda: folder)
         recordings._recordings.cache_clear()
         yield
     recordings._recordings.cache_clear()
