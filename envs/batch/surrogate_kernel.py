@@ -144,13 +144,10 @@ def _say(c, car, move, said, ago_s, still_mps):  # type: ignore[no-untyped-def]
     c.pl_at_m, c.pl_ct_m, c.sends = said.pl_at_m, said.pl_ct_m, said.sends
 
 
-@jit(borrows=True)
+@jit
 def note(rows, cars, egos, pictures, notes):  # type: ignore[no-untyped-def]
     """Note what the vehicles of environments ``rows`` say now, with its errors: notes (N, C) NOTE of the last epoch."""
     for e in rows:
-        for i in range(notes.shape[1]):
-            if pictures.slots[e, i].key != notes[e, i].move.key:
-                notes[e, i].move.key = 0
         there = np.zeros(notes.shape[1], np.bool_)
         for v in range(1, egos[e].vehicles):
             car, slot = cars[e, v], cars[e, v].slot

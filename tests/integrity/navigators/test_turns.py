@@ -74,3 +74,28 @@ def test_without_that_bound_the_level_across_breaks() -> None:
     rates = yaw_rates((0.0, 10.0), *WEAVE, (0.25, 12.0), (0.0, 4.0))
     run = drive(config, rates, 52.0, VEHICLES, axle_m=3.0, from_s=50.0)
     assert run.exceeding(1, len(rates) * 0.1) > allowed(VEHICLES, RISK)
+
+
+FULL_LOCK = 0.55  # sine of the side slip of a car of 5 m whose wheels are turned by 53 degrees
+
+
+@pytest.mark.parametrize("mps", [-0.45, pytest.param(0.3, marks=pytest.mark.slow), 0.2])
+def test_levels_hold_for_one_that_creeps_at_full_lock(mps: float) -> None:
+    """Its middle, 2.5 m ahead of the rear axle, moves sideways as fast as forward."""
+    config = with_risk(NavigatorConfig(), RISK).replace(positioning={"axle_m": 2.5})
+    rates = yaw_rates((0.0, OPEN_S), (FULL_LOCK * abs(mps) / 2.5, 12.0))
+    speeds = np.where(np.arange(len(rates)) * 0.1 < OPEN_S - 1.0, 4.0, mps)
+    run = drive(config, rates, OPEN_S - 1.0, VEHICLES, axle_m=2.5, from_s=OPEN_S, speed_mps=speeds)
+    times = (OPEN_S + 3.0, OPEN_S + 6.0, OPEN_S + 12.0)
+    beyond = [run.exceeding(1, time_s) for time_s in times]
+    assert max(beyond) <= allowed(VEHICLES, RISK, times=len(times)), beyond
+
+
+def test_levels_hold_for_one_that_creeps_straight() -> None:
+    """An error of the yaw rate then moves the middle sideways as well."""
+    config = with_risk(NavigatorConfig(), RISK).replace(positioning={"axle_m": 2.5})
+    rates = yaw_rates((0.0, OPEN_S + 30.0))
+    speeds = np.where(np.arange(len(rates)) * 0.1 < OPEN_S, 8.0, 0.25)
+    run = drive(config, rates, OPEN_S, VEHICLES, axle_m=2.5, from_s=OPEN_S, speed_mps=speeds)
+    beyond = [run.exceeding(1, OPEN_S + after) for after in (10.0, 30.0)]
+    assert max(beyond) <= allowed(VEHICLES, RISK, times=2), beyond
