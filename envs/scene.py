@@ -188,7 +188,7 @@ def set_scene(
         campaign = campaign if faults is None else faults
         start_s = config.navigation.clock_start_s
         schedule = FaultSchedule([fault.replace(start_s=fault.start_s + start_s) for fault in campaign])
-        episodes.navigation.navigator.faults = schedule
+        episodes.navigation.faults = schedule
     here = np.zeros(1, dtype=np.int64)
     return EpisodeContext(street, episodes, seed, starts._replace(layout=here, hour=here), schedule)
 

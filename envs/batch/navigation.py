@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +33,7 @@ from lanebound.integrity.motion.truth_kernel import TRUTH
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, Start
 from lanebound.integrity.navigators.solution import ContextReport, Solution
 from lanebound.integrity.positioning.map_matching.road_map import RoadMap
+from lanebound.integrity.sensors.faults import FaultSchedule
 
 __all__ = ["HEARD_S", "Approach", "NavigationBatch", "Starts", "draw_starts", "fixes_of"]
 
@@ -120,7 +122,7 @@ class NavigationBatch:
 
     Attributes
     ----------
-    navigator : of N M vehicles
+    faults : of a single environment
     motions : (N, M) MOTION
     sky : the skies over the egos at the last epoch
     where : the cities that they are in
@@ -147,6 +149,7 @@ class NavigationBatch:
         self.count, self.vehicles, self.step_s, self.steps = count, vehicles, step_s, steps
         self.epoch_s = step_s * steps
         self.epochs_before = max(1, round(config.warm_up_s / self.epoch_s))
+        self.faults = FaultSchedule(())
         self._one = Navigator(settings, skies.track, cities.mask, 0, 1)
         if road_map is not None:
             self._one.use_map(road_map, one_in=vehicles)
@@ -157,7 +160,7 @@ class NavigationBatch:
         n, m = self.count, self.vehicles
         self._there = np.ones((n, m), dtype=np.bool_)
         self._streams = CrewStreams([0] * n, [0] * n, self._there[:, 1:], self.skies.used[[0] * n])
-        self.navigator = self._one.another(self._streams)
+        self.__dict__.pop("navigator", None)
         self.motions: Records = np.zeros((n, m), MOTION)
         self._hour, self._age = np.zeros((2, n), dtype=np.int64)  # age: epochs since the episode's start
         self.where: Whereabouts = self.cities.where(np.zeros(n, dtype=np.int64))
@@ -167,6 +170,11 @@ class NavigationBatch:
         self.solution: Solution | None = None
         self.fixes: Records = np.zeros(n * m, FIX)
         self._kept = np.arange(n)
+
+    @cached_property
+    def navigator(self) -> Navigator:
+        """Of all vehicles; a start of all environments puts another in its place."""
+        return self._one.another(self._streams)
 
     def another(self, count: int) -> NavigationBatch:
         """Navigators of ``count`` environments under the same skies, before any start."""
@@ -197,7 +205,7 @@ class NavigationBatch:
         streams = CrewStreams(seeds, starts.fleet_seed.tolist(), there, self.skies.used[starts.hour])
         starter = self._one.another(streams)
         if self.count == 1:
-            starter.faults = self.navigator.faults
+            starter.faults = self.faults
         motions = np.zeros((rows.size, self.vehicles), MOTION)
         approach = self._approach(rows, starter, motions, starts, cars)
         if np.array_equal(rows, self._kept):

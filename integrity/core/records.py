@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["Records", "one_record", "packed", "record"]
+__all__ = ["Records", "clear", "copied", "one_record", "packed", "record"]
 
 Records = NDArray[np.void]
 """A structured array."""
@@ -52,6 +52,21 @@ def one_record(kind: DTypeLike, **values: Any) -> Records:
     for name, value in values.items():
         out[name] = value
     return out
+
+
+def copied(records: Records) -> Records:
+    """A copy, as blocks of bytes: ``records.copy()`` copies field by field."""
+    return _blocks(records).copy().view(records.dtype)
+
+
+def clear(records: Records, rows: NDArray[np.int64] | slice) -> None:
+    """Set all of some rows to zero, likewise."""
+    blocks = _blocks(records)
+    blocks[rows] = np.zeros((), blocks.dtype)
+
+
+def _blocks(records: Records) -> NDArray[np.void]:
+    return records.view(np.dtype((np.void, records.dtype.itemsize)))
 
 
 def packed(kind: np.dtype[np.void], given: Records | None, **arrays: NDArray[Any]) -> Records:

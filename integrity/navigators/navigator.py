@@ -14,7 +14,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
 from enum import Enum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -153,7 +153,7 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
         codes = self.context is not None and self.context.judges is Judged.CODES
         return self.receiver.replace(undifferenced=True) if codes else self.receiver
 
-    @property
+    @cached_property
     def cases(self) -> tuple[PlCase, ...]:
         """All protection levels reported, the operative one first."""
         first = PlCase(integrity_risk=self.risk.integrity_risk, variant=self.risk.variant, form=self.form)

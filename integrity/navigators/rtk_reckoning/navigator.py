@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.records import Records, clear, copied
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.monitoring.heading_doubt_kernel import HEADING_DOUBT
 from lanebound.integrity.monitoring.heading_separation_kernel import COURSE, SPREAD
@@ -52,8 +52,7 @@ class RtkReckoningNavigator(Navigator):
 
     def prepare(self) -> None:
         """The parameters, and the list of stages."""
-        self._parameters = epoch_parameters(self.config)
-        self._tables = epoch_tables(self.config, self.track.system)
+        self._parameters, self._tables = _figures(self.config, tuple(self.track.system.tolist()))
         self._services = ServiceSet(self.config, self.track.system)
         self._stages = EpochStages(self.config, self._services)
         self._epoch: tuple[State, Epoch] | None = None
@@ -104,7 +103,7 @@ class RtkReckoningNavigator(Navigator):
             fresh["growth"][axis] = sigma_m**2
         belief.vehicles[rows] = fresh
         for array in arrays_of(belief[2:]):  # all but vehicles and ambiguities
-            array[rows] = np.zeros((), array.dtype)
+            clear(array, rows)
         belief.ambiguities["held"][rows], belief.ambiguities["last_phase"][rows] = False, 0.0
         self._services.forget(self.state.extensions, rows)
 
@@ -114,7 +113,7 @@ class RtkReckoningNavigator(Navigator):
         states, (signals, vehicles) = self._services.with_inputs(m, self.state.extensions), observed(m)
         stages = self._stages.for_epoch(vehicles)
         if stages.changes_signals:
-            signals = signals.copy()
+            signals = copied(signals)
         epoch = self._epoch_of(self.state.belief)._replace(signals=signals, observed=vehicles)
         run_rows(stages, self.batch, epoch, states, row_us=LOCATE_US)
         return solution_of(m, epoch)
@@ -124,6 +123,12 @@ class RtkReckoningNavigator(Navigator):
         if self._epoch is None or self._epoch[0] is not belief:
             self._epoch = belief, blank_epoch(self._parameters, self._tables, belief)
         return self._epoch[1]
+
+
+@lru_cache(maxsize=32)
+def _figures(config: RtkReckoningConfig, system: tuple[int, ...]) -> tuple[Records, Tables]:
+    """Parameters and tables of an epoch for satellites of these systems, in shared arrays. Do not write them."""
+    return epoch_parameters(config), epoch_tables(config, np.array(system, dtype=np.int64))
 
 
 def give_heading(heading: Records, angle_rad: Array, sigma_rad: float) -> None:
@@ -177,7 +182,7 @@ def blank_epoch(parameters: Records, tables: Tables, belief: State) -> Epoch:
 
 def solution_of(m: Measurements, epoch: Epoch) -> Solution:
     """The solution in arrays of its own."""
-    out, levels = epoch.out.copy(), epoch.levels.copy()
+    out, levels = copied(epoch.out), epoch.levels.copy()
     return Solution(  # positional, in the order of its fields: half the time for a single vehicle
         m.time_s, out["position"], out["heading"], out["velocity"], m.odometer.speed_mps, out["covariance"],
         out["sigma_at"], out["sigma_ct"], levels[:, 0, 0], levels[:, 0, 1], levels, out["mode"], out["rtk"],
