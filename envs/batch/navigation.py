@@ -262,10 +262,11 @@ class NavigationBatch:
             run_rows(rk.sky_rows, rows.size, every, hours, hour, np.full(rows.size, clock), sky, row_us=2.0)
             fill_motion(motions, every, self.step_s, self._down, truth)
             self.measurements = navigator.measure(Truth.of(clock, self.epoch_s, truth), self.skies.view(sky, index))
-            solution = navigator.solve(self.measurements)
             if last is not None or (self.vehicles > 1 and -HEARD_S <= time_s < -0.5 * self.epoch_s):
-                heard.append((time_s, solution))
-        return Approach(solution, heard)
+                heard.append((time_s, navigator.solve(self.measurements)))
+            else:
+                navigator.follow(self.measurements)
+        return Approach(heard[-1][1], heard)
 
     def enter(
         self, row: int, slots: Rows, position_m: Array, heading_rad: Array, speed_mps: Array, passed: int, noise: Array

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["Records", "clear", "copied", "one_record", "packed", "record"]
+__all__ = ["Records", "blocks", "copied", "one_record", "packed", "record"]
 
 Records = NDArray[np.void]
 """A structured array."""
@@ -55,17 +55,12 @@ def one_record(kind: DTypeLike, **values: Any) -> Records:
 
 
 def copied(records: Records) -> Records:
-    """A copy, as blocks of bytes: ``records.copy()`` copies field by field."""
-    return _blocks(records).copy().view(records.dtype)
+    """A copy."""
+    return blocks(records).copy().view(records.dtype)
 
 
-def clear(records: Records, rows: NDArray[np.int64] | slice) -> None:
-    """Set all of some rows to zero, likewise."""
-    blocks = _blocks(records)
-    blocks[rows] = np.zeros((), blocks.dtype)
-
-
-def _blocks(records: Records) -> NDArray[np.void]:
+def blocks(records: Records) -> NDArray[np.void]:
+    """The records as blocks of bytes, which NumPy copies at once; it copies records field by field."""
     return records.view(np.dtype((np.void, records.dtype.itemsize)))
 
 

@@ -23,6 +23,7 @@ from pydantic import Field, model_validator
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError, InputError, require_finite
+from lanebound.integrity.core.records import blocks
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.core.tagged import Tagged
 from lanebound.integrity.monitoring.alerts import AlertConfig
@@ -450,6 +451,10 @@ class Navigator:
             )
         return self._guard.judge(self.state.guard, with_finite(m), solution)
 
+    def follow(self, m: Measurements) -> None:
+        """:meth:`solve` where the solution is not needed."""
+        self.solve(m)
+
     def measure(self, truth: Truth, sky: SkyView | None = None) -> Measurements:
         """The measurements of this epoch; nothing else reads the truth.
 
@@ -499,9 +504,8 @@ class Navigator:
 def _hand_over(mine: Any, other: Any, rows: Rows, theirs: Rows) -> None:
     """Copy the rows of every array of a state, and of the states in it; clocks and streams stay."""
     if isinstance(other, np.ndarray):
-        if other.dtype.names is not None:  # as blocks of bytes: NumPy copies records field by field
-            block = np.dtype((np.void, other.dtype.itemsize))
-            mine, other = mine.view(block), other.view(block)
+        if other.dtype.names is not None:
+            mine, other = blocks(mine), blocks(other)
         mine[rows] = other[theirs]
         return
     parts = other if isinstance(other, dict) else other._asdict() if hasattr(other, "_asdict") else vars(other)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.records import Records, clear, copied
+from lanebound.integrity.core.records import Records, blocks, copied
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.monitoring.heading_doubt_kernel import HEADING_DOUBT
 from lanebound.integrity.monitoring.heading_separation_kernel import COURSE, SPREAD
@@ -92,7 +92,7 @@ class RtkReckoningNavigator(Navigator):
     ) -> None:
         """Dead-reckon from the prior until RTK is found; the gyro bias and the alert stay."""
         belief = self.state.belief
-        old, fresh = belief.vehicles[rows], np.zeros(position_en_m.shape[0], belief.vehicles.dtype)
+        old, fresh = blocks(belief.vehicles)[rows].view(VEHICLE), np.zeros(position_en_m.shape[0], VEHICLE)
         fresh["position"][:, :2], fresh["position"][:, 2] = position_en_m, old["position"][:, 2]
         fresh["velocity"] = old["velocity"]
         fresh["heading"], fresh["alert"], fresh["rtk"] = old["heading"], old["alert"], old["rtk"]
@@ -101,14 +101,25 @@ class RtkReckoningNavigator(Navigator):
         fresh["backup"]["position"] = old["backup"]["position"]
         for axis in ("p_ee", "p_nn"):
             fresh["growth"][axis] = sigma_m**2
-        belief.vehicles[rows] = fresh
+        blocks(belief.vehicles)[rows] = blocks(fresh)
         for array in arrays_of(belief[2:]):  # all but vehicles and ambiguities
-            clear(array, rows)
+            blocks(array)[rows] = bytes(array.itemsize)
         belief.ambiguities["held"][rows], belief.ambiguities["last_phase"][rows] = False, 0.0
         self._services.forget(self.state.extensions, rows)
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
+        return solution_of(*self._advance(m))
+
+    def follow(self, m: Measurements) -> None:
+        """:meth:`solve` without making the solution."""
+        if self.config.context is None:
+            self._advance(m)
+        else:
+            super().follow(m)
+
+    def _advance(self, m: Measurements) -> tuple[Measurements, Epoch]:
+        """Advance the belief by an epoch: the measurements that it used, and the epoch."""
         m = with_finite(m)
         states, (signals, vehicles) = self._services.with_inputs(m, self.state.extensions), observed(m)
         stages = self._stages.for_epoch(vehicles)
@@ -116,7 +127,7 @@ class RtkReckoningNavigator(Navigator):
             signals = copied(signals)
         epoch = self._epoch_of(self.state.belief)._replace(signals=signals, observed=vehicles)
         run_rows(stages, self.batch, epoch, states, row_us=LOCATE_US)
-        return solution_of(m, epoch)
+        return m, epoch
 
     def _epoch_of(self, belief: State) -> Epoch:
         """The arrays of an epoch; those of the belief are its own."""
