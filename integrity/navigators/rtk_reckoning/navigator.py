@@ -52,7 +52,8 @@ class RtkReckoningNavigator(Navigator):
 
     def prepare(self) -> None:
         """The parameters, and the list of stages."""
-        self._parameters, self._tables = _figures(self.config, tuple(self.track.system.tolist()))
+        kind, text = type(self.config), self.config.to_json()
+        self._parameters, self._tables = _figures(kind, text, tuple(self.track.system.tolist()))
         self._services = ServiceSet(self.config, self.track.system)
         self._stages = EpochStages(self.config, self._services)
         self._epoch: tuple[State, Epoch] | None = None
@@ -137,8 +138,9 @@ class RtkReckoningNavigator(Navigator):
 
 
 @lru_cache(maxsize=32)
-def _figures(config: RtkReckoningConfig, system: tuple[int, ...]) -> tuple[Records, Tables]:
+def _figures(kind: type[RtkReckoningConfig], text: str, system: tuple[int, ...]) -> tuple[Records, Tables]:
     """Parameters and tables of an epoch for satellites of these systems, in shared arrays. Do not write them."""
+    config = kind.from_json(text)
     return epoch_parameters(config), epoch_tables(config, np.array(system, dtype=np.int64))
 
 
