@@ -11,6 +11,7 @@ True
 Gymnasium imports it by itself when an id names it: ``gymnasium.make("lanebound.envs:lanebound/LaneKeeping-v0")``.
 """
 
+from lanebound.envs import deferred  # noqa: F401 - before all that imports highway-env
 from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import IDS, make_config, register_all, wrap, wrap_vec

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -130,7 +131,6 @@ class NavigationBatch:
 
     Attributes
     ----------
-    navigator : of N M vehicles
     motions : (N, M) MOTION
     faults : of the episodes
     effects : of faults in the last epoch, None where none acted
@@ -170,7 +170,7 @@ class NavigationBatch:
         n, m = self.count, self.vehicles
         self._there = np.ones((n, m), dtype=np.bool_)
         self._streams = CrewStreams([0] * n, [0] * n, self._there[:, 1:], self.skies.used[[0] * n])
-        self.navigator = self._one.another(self._streams)
+        self.__dict__.pop("navigator", None)
         self.motions: Records = np.zeros((n, m), MOTION)
         self.faults = EpisodeFaults(n)
         self.effects: FaultEffects | None = None
@@ -182,6 +182,11 @@ class NavigationBatch:
         self.solution: Solution | None = None
         self.fixes: Records = np.zeros(n * m, FIX)
         self._kept = np.arange(n)
+
+    @cached_property
+    def navigator(self) -> Navigator:
+        """Of all vehicles; a start of all environments puts another in its place."""
+        return self._one.another(self._streams)
 
     def another(self, count: int) -> NavigationBatch:
         """Navigators of ``count`` environments under the same skies, before any start."""
@@ -268,10 +273,11 @@ class NavigationBatch:
             run_rows(rk.sky_rows, rows.size, every, hours, hour, np.full(rows.size, clock), sky, row_us=2.0)
             fill_motion(motions, every, self.step_s, self._down, truth)
             self.measurements = navigator.measure(Truth.of(clock, self.epoch_s, truth), self.skies.view(sky, index))
-            solution = navigator.solve(self.measurements)
             if last is not None or (self.vehicles > 1 and time_s in on_air):
-                heard.append((time_s, solution))
-        return Approach(solution, heard)
+                heard.append((time_s, navigator.solve(self.measurements)))
+            else:
+                navigator.follow(self.measurements)
+        return Approach(heard[-1][1], heard)
 
     def enter(
         self, row: int, slots: Rows, position_m: Array, heading_rad: Array, speed_mps: Array, passed: int, noise: Array

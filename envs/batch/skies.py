@@ -15,7 +15,7 @@ from lanebound.envs.batch.motion_kernel import Whereabouts
 from lanebound.envs.batch.sky_ahead_kernel import Forecast, HourTable, SkyRows
 from lanebound.envs.sky import Street
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.sky.constellation import SkyConfig
+from lanebound.integrity.sky.constellation import SatelliteTable, SkyConfig
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import Faces
 from lanebound.integrity.sky.track import SkyTrack
@@ -62,7 +62,7 @@ class Skies:
         tables = [_hour(text, knots, hour) for hour in hours]
         start = np.array([_start_s(sky, hour) for hour in hours])
         offset, rate = np.stack([offset for offset, _ in tables]), np.stack([rate for _, rate in tables])
-        satellites, some = sky.satellites(), np.where(held >= 0, held, _places(text, knots).max(0))
+        satellites, some = _satellites(text), np.where(held >= 0, held, _places(text, knots).max(0))
         system, prn = satellites.system[some[0]], satellites.prn[some]
         track = SkyTrack(float(start[0]), STEP_S, offset[0], rate[0], float(sky.mask_rad), system, prn[0])
         return cls(HourTable(offset, rate, start, STEP_S, track.mask_rad), held >= 0, prn, track)
@@ -94,10 +94,15 @@ def _start_s(sky: SkyConfig, hour: int) -> float:
 
 
 @lru_cache(maxsize=16)
+def _satellites(text: str) -> SatelliteTable:
+    return SkyConfig.from_json(text).satellites()
+
+
+@lru_cache(maxsize=16)
 def _places(text: str, knots: int) -> Rows:
     """The satellite in each place at each hour, (HOURS, S), -1 for none: as many places of a system as rise at once."""
     sky = SkyConfig.from_json(text)
-    table, times = sky.satellites(), STEP_S * np.arange(knots)
+    table, times = _satellites(text), STEP_S * np.arange(knots)
     skies = [table.view(_start_s(sky, hour) + times, *sky.place_rad, sky.mask_rad) for hour in range(HOURS)]
     rising = np.stack([view.above.any(0) for view in skies])
     blocks = []
@@ -118,7 +123,7 @@ def _hour(text: str, knots: int, hour: int) -> tuple[Array, Array]:
     offset, rate = np.zeros((2, knots, held.size, 3))
     offset[..., 2] = -FAR_M
     times = _start_s(sky, hour) + STEP_S * np.arange(knots)
-    offset[:, used], rate[:, used] = sky.satellites().take(held[used]).relative_enu(times, *sky.place_rad)
+    offset[:, used], rate[:, used] = _satellites(text).take(held[used]).relative_enu(times, *sky.place_rad)
     return offset, rate
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from math import nan, pi
 from typing import Any, NamedTuple
 
@@ -324,6 +325,7 @@ def register_entry(entry: Entry) -> None:
     if isinstance(entry.source, str):
         _word_of(entry.source)
     _registered.append(entry)
+    entries.cache_clear()
 
 
 def withdraw_entry(column: str) -> None:
@@ -336,8 +338,10 @@ def withdraw_entry(column: str) -> None:
     """
     require_registered("entry", column, [entry.column for entry in _registered])
     _registered[:] = [entry for entry in _registered if entry.column != column]
+    entries.cache_clear()
 
 
+@lru_cache(maxsize=64)
 def entries(config: ObservationConfig) -> tuple[Entry, ...]:
     """Every entry of one observation, in the order of the flat form."""
     out: list[Entry] = []
@@ -395,8 +399,12 @@ def _word_of(source: str) -> tuple[int, int, float]:
     return block, (begin + offset) // WORD, code
 
 
+@lru_cache(maxsize=64)
 def sources_of(index: tuple[Entry, ...]) -> Records:
-    """The table by which the kernel fills a frame, (E,) SOURCE; entries of functions are filled outside of it."""
+    """The table by which the kernel fills a frame, (E,) SOURCE; entries of functions are filled outside of it.
+
+    The array is shared: do not write it.
+    """
     table = np.zeros(len(index), vk.SOURCE)
     for row, entry in zip(table, index, strict=True):
         row["block"], row["word"], row["code"] = -1, 0, nan

@@ -168,7 +168,7 @@ def run_rows(kernel: Any, rows: int, *arguments: Any, row_us: float) -> None:
     row_us : approximate time of a row on one thread [us]; it determines the size of a piece
     """
     pieces = int(rows * row_us / PIECE_US)
-    threads = thread_count(pieces)
+    threads = 1 if pieces < 2 else thread_count(pieces)
     if threads == 1:
         kernel(0, rows, *arguments)
         return

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["Records", "one_record", "packed", "record"]
+__all__ = ["Records", "blocks", "copied", "one_record", "packed", "record"]
 
 Records = NDArray[np.void]
 """A structured array."""
@@ -52,6 +52,16 @@ def one_record(kind: DTypeLike, **values: Any) -> Records:
     for name, value in values.items():
         out[name] = value
     return out
+
+
+def copied(records: Records) -> Records:
+    """A copy."""
+    return blocks(records).copy().view(records.dtype)
+
+
+def blocks(records: Records) -> NDArray[np.void]:
+    """The records as blocks of bytes, which NumPy copies at once; it copies records field by field."""
+    return records.view(np.dtype((np.void, records.dtype.itemsize)))
 
 
 def packed(kind: np.dtype[np.void], given: Records | None, **arrays: NDArray[Any]) -> Records:

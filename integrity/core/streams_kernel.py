@@ -40,7 +40,7 @@ def uniform(g):  # type: ignore[no-untyped-def]
     return float(raw(g) >> np.uint64(11)) * TO_UNIT
 
 
-@jit
+@jit(borrows=True)
 def fill(g, table, out):  # type: ignore[no-untyped-def]
     """Draw standard normals (W,) from a generator (4,) by the ziggurat of 256 layers of Marsaglia and Tsang 2000.
 
@@ -64,7 +64,7 @@ def fill(g, table, out):  # type: ignore[no-untyped-def]
     g[0], g[1], g[2], g[3] = a, b, c, counter
 
 
-@jit
+@jit(borrows=True)
 def outside(g, table, layer, place, x):  # type: ignore[no-untyped-def]
     """Whether a draw outside the layer above is accepted, and its value; a draw of layer 0 comes from the tail."""
     if layer == 0:
@@ -73,7 +73,7 @@ def outside(g, table, layer, place, x):  # type: ignore[no-untyped-def]
     return density < math.exp(-0.5 * x * x), x
 
 
-@jit
+@jit(borrows=True)
 def tail(g, place):  # type: ignore[no-untyped-def]
     """Draw beyond the edge by the method of Marsaglia 1964; bit 8 of ``place`` is the sign."""
     while True:

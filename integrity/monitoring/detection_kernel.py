@@ -73,7 +73,7 @@ class Thresholds(NamedTuple):
     chi2: Array
 
 
-@jit
+@jit(borrows=True)
 def _centre_groups(rows: Records, groups: Records) -> tuple[int, int]:
     """Weighted means of each group (MAX_CLOCKS,) of GROUP; returns the rows and groups in use."""
     count, present = 0, 0
@@ -101,7 +101,7 @@ def _centre_groups(rows: Records, groups: Records) -> tuple[int, int]:
     return count, present
 
 
-@jit
+@jit(borrows=True)
 def _normal_equations(rows: Records, groups: Records, A: Array, b: Array) -> None:
     """``A = sum w z z'``, its upper triangle, and ``b = -sum w z (y - mean)`` of the rows in use."""
     a00, a01, a02, a11, a12, a22, b0, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -119,7 +119,7 @@ def _normal_equations(rows: Records, groups: Records, A: Array, b: Array) -> Non
     b[0], b[1], b[2] = b0, b1, b2
 
 
-@jit
+@jit(borrows=True)
 def _remove_row(row: Any, mean: Any, A: Array, b: Array) -> None:
     """Downdate the upper triangle of A and b by a row of the group with this mean."""
     w = 1.0 / row.variance
@@ -131,7 +131,7 @@ def _remove_row(row: Any, mean: Any, A: Array, b: Array) -> None:
             A[p, q] -= zp * (row.e[q] - mean.e[q])
 
 
-@jit
+@jit(borrows=True)
 def _worst_row(rows: Records, groups: Records, Q: Array, x: Array) -> tuple[float, float, int]:
     """Global statistic, largest absolute w-statistic and its row (-1: none can be checked)."""
     total, largest, at = 0.0, 0.0, -1
@@ -230,7 +230,7 @@ def _separation(
     return float(along / (major * factor[1] ** 2))
 
 
-@jit
+@jit(borrows=True)
 def _systems_in_use(rows: Records) -> int:
     """Number of constellations with rows in use."""
     seen = 0

@@ -136,7 +136,7 @@ CENTRED = record(
 """The row of a satellite in a velocity."""
 
 
-@jit
+@jit(borrows=True)
 def centre_rows(rows: Records, velocity: Array, centred: Records, sums: Records) -> None:
     """Fill ``centred`` (S,) of CENTRED and the total weight in ``sums``, of the velocity (3,) found from ``rows`` (S,).
 
@@ -161,7 +161,7 @@ def centre_rows(rows: Records, velocity: Array, centred: Records, sums: Records)
     sums[MAX_GROUPS].w = w
 
 
-@jit
+@jit(borrows=True)
 def find_satellite_influences(q: Array, centred: Records, sums: Records, faults: Records) -> None:
     """Fill ``faults[k].now`` of the satellites for a velocity of covariance q (3, 3), of centred rows."""
     one = 1.0 / sums[MAX_GROUPS].w
@@ -185,7 +185,7 @@ def find_satellite_influences(q: Array, centred: Records, sums: Records, faults:
         out.l_ee, out.l_ne, out.l_nn = u_e, u_n, 0.0
 
 
-@jit
+@jit(borrows=True)
 def find_system_influences(
     q: Array, satellites: Records, prior: Array, spendable: float, centred: Records, sums: Records, faults: Records
 ) -> None:
@@ -216,7 +216,7 @@ def find_system_influences(
         out.state = MONITORED
 
 
-@jit
+@jit(borrows=True)
 def _sum_systems(satellites: Records, centred: Records, sums: Records) -> None:
     """Fill the sums of each system and of all satellites."""
     for g in range(MAX_GROUPS + 1):
@@ -319,7 +319,7 @@ def fade_separation(phi: float, s: Any) -> None:
 # The bound
 
 
-@jit
+@jit(borrows=True)
 def exposure(prior: Array, separations: Records) -> tuple[float, float, float]:
     """Sum of the priors (M,) and of their squares over the modes used since the fix, and the sum of the LOST."""
     used, squares, lost = 0.0, 0.0, 0.0
@@ -355,7 +355,7 @@ def risk_factors(budget: float, share: float, pair: float, everything: float, lo
     return q_inverse(0.5 * (left - faults)), q_inverse(min(0.5 * faults / monitored, 0.5)) if monitored > 0.0 else 0.0
 
 
-@jit
+@jit(borrows=True)
 def worst_separation(
     sine: float, cosine: float, sigma: float, by_heading: float, k_f: float, separations: Records
 ) -> float:

@@ -157,7 +157,7 @@ def begin_epoch(dt: float, jump: Any) -> None:
             jump.left_s, jump.stage = 0.0, RELEASED
 
 
-@jit
+@jit(borrows=True)
 def judge_jump(
     east: float, north: float, sin_h: float, cos_h: float, expected: Array, found: Array, lasting: bool, conflict: bool,
     after_jump_s: float, after_outage_s: float, jump: Any,
@@ -201,7 +201,7 @@ def judge_jump(
     return ACCEPTED
 
 
-@jit
+@jit(borrows=True)
 def widen(sin_h: float, cos_h: float, found: Array, jump: Any, pl: Array) -> None:
     """Widen the levels of dead reckoning pl (R, 2) in place to cover RTK's history too, of levels ``found`` (R, 2).
 

@@ -12,7 +12,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 from scipy.special import chdtrc, chdtri, chndtr, chndtrix, ndtri
 
 from lanebound.integrity.core.errors import InputError, require_probability
@@ -62,6 +61,8 @@ def noncentrality(significance: float, power: float, df: int = 1) -> float:
         raise InputError(
             f"power must be > significance = {alpha}, got {gamma}: a test of no use has that power already"
         )
+    from scipy.optimize import brentq  # a sixth of a second at each start, which few need
+
     critical = float(chdtri(df, alpha))
     high = 1.0
     while chndtr(critical, df, high) > 1.0 - gamma:

@@ -59,8 +59,10 @@ class Truth:
     @property
     def records(self) -> Records:
         """The arrays as kernels take them, (B,) of TRUTH."""
+        if self.given is not None:
+            return self.given
         return packed(
-            TRUTH, self.given, position=self.position_enu_m, velocity=self.velocity_enu_mps, heading=self.heading_rad,
+            TRUTH, None, position=self.position_enu_m, velocity=self.velocity_enu_mps, heading=self.heading_rad,
             turn=self.delta_theta_rad, delta_v=self.delta_v_mps, distance=self.distance_m, arc=self.arc_m,
             lane=self.lane,
         )  # fmt: skip

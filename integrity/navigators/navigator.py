@@ -14,7 +14,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
 from enum import Enum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -23,6 +23,7 @@ from pydantic import Field, model_validator
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError, InputError, require_finite
+from lanebound.integrity.core.records import blocks
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.core.tagged import Tagged
 from lanebound.integrity.monitoring.alerts import AlertConfig
@@ -153,7 +154,7 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
         codes = self.context is not None and self.context.judges is Judged.CODES
         return self.receiver.replace(undifferenced=True) if codes else self.receiver
 
-    @property
+    @cached_property
     def cases(self) -> tuple[PlCase, ...]:
         """All protection levels reported, the operative one first."""
         first = PlCase(integrity_risk=self.risk.integrity_risk, variant=self.risk.variant, form=self.form)
@@ -450,6 +451,10 @@ class Navigator:
             )
         return self._guard.judge(self.state.guard, with_finite(m), solution)
 
+    def follow(self, m: Measurements) -> None:
+        """:meth:`solve` where the solution is not needed."""
+        self.solve(m)
+
     def measure(
         self, truth: Truth, sky: SkyView | None = None, effects: FaultEffects | None = None
     ) -> Measurements:  # fmt: skip
@@ -501,9 +506,8 @@ class Navigator:
 def _hand_over(mine: Any, other: Any, rows: Rows, theirs: Rows) -> None:
     """Copy the rows of every array of a state, and of the states in it; clocks and streams stay."""
     if isinstance(other, np.ndarray):
-        if other.dtype.names is not None:  # as blocks of bytes: NumPy copies records field by field
-            block = np.dtype((np.void, other.dtype.itemsize))
-            mine, other = mine.view(block), other.view(block)
+        if other.dtype.names is not None:
+            mine, other = blocks(mine), blocks(other)
         mine[rows] = other[theirs]
         return
     parts = other if isinstance(other, dict) else other._asdict() if hasattr(other, "_asdict") else vars(other)

@@ -67,7 +67,7 @@ def search_scratch(c: int, m: int) -> SearchScratch:
     )  # fmt: skip
 
 
-@jit
+@jit(borrows=True)
 def identity(n: int, Zt: Array, Z_inverse: Array) -> None:
     """Set the transformation to the identity: the cold start of :func:`decorrelate`."""
     for i in range(n):
@@ -76,7 +76,7 @@ def identity(n: int, Zt: Array, Z_inverse: Array) -> None:
         Zt[i, i], Z_inverse[i, i] = 1.0, 1.0
 
 
-@jit
+@jit(borrows=True)
 def transformed_covariance(n: int, Q: Array, Zt: Array, T: Array, A: Array) -> None:
     """Lower triangle of ``A = Z' Q Z``; T is scratch. Zeros of Z, the majority, are skipped."""
     for i in range(n):
@@ -94,7 +94,7 @@ def transformed_covariance(n: int, Q: Array, Zt: Array, T: Array, A: Array) -> N
             A[i, j] = total
 
 
-@jit
+@jit(borrows=True)
 def _swap_rows(M: Array, i: int, j: int, n: int) -> None:
     """Exchange the first n entries of two rows."""
     for q in range(n):
@@ -103,7 +103,7 @@ def _swap_rows(M: Array, i: int, j: int, n: int) -> None:
         M[j, q] = kept
 
 
-@jit
+@jit(borrows=True)
 def _pivot(n: int, i: int, A: Array, U: Array, D: Array, Zt: Array, Z_inverse: Array) -> None:
     """Bring the smallest remaining variance to position i (symmetric pivoting: most swaps are then spared later)."""
     p = i
@@ -122,7 +122,7 @@ def _pivot(n: int, i: int, A: Array, U: Array, D: Array, Zt: Array, Z_inverse: A
     _swap_rows(Z_inverse, p, i, n)
 
 
-@jit
+@jit(borrows=True)
 def factor(n: int, A: Array, U: Array, D: Array, pivot: bool, Zt: Array, Z_inverse: Array) -> int:
     """Factor ``A = U diag(D) U'`` from its lower triangle, which is overwritten; OK or NOT_POSITIVE_DEFINITE."""
     for i in range(n):
@@ -148,7 +148,7 @@ def factor(n: int, A: Array, U: Array, D: Array, pivot: bool, Zt: Array, Z_inver
     return OK
 
 
-@jit
+@jit(borrows=True)
 def _gauss(n: int, j: int, i: int, U: Array, Zt: Array, Z_inverse: Array) -> None:
     """Integer Gauss transformation ``z_j -= mu z_i`` with ``mu = round(U_ji)``, i > j."""
     mu = np.floor(U[j, i] + 0.5)
@@ -161,7 +161,7 @@ def _gauss(n: int, j: int, i: int, U: Array, Zt: Array, Z_inverse: Array) -> Non
             Z_inverse[i, q] += mu * Z_inverse[j, q]
 
 
-@jit
+@jit(borrows=True)
 def reduce_block(n: int, first: int, U: Array, D: Array, Zt: Array, Z_inverse: Array) -> None:
     """Exchange neighbours until ``D[j] + U_j,j+1^2 D[j+1] >= D[j+1]`` throughout the trailing block ``first .. n-1``.
 
@@ -194,7 +194,7 @@ def reduce_block(n: int, first: int, U: Array, D: Array, Zt: Array, Z_inverse: A
         j = min(j + 1, n - 2)
 
 
-@jit
+@jit(borrows=True)
 def size_reduce(n: int, U: Array, Zt: Array, Z_inverse: Array) -> None:
     """Bring every entry of the unit triangular factor to within +-1/2."""
     for j in range(n - 2, -1, -1):
@@ -203,7 +203,7 @@ def size_reduce(n: int, U: Array, Zt: Array, Z_inverse: Array) -> None:
                 _gauss(n, j, i, U, Zt, Z_inverse)
 
 
-@jit
+@jit(borrows=True)
 def all_small(n: int, Q: Array) -> bool:
     """Whether every standard deviation is below 0.05 cycles: rounding is then almost always the answer."""
     for i in range(n):
@@ -212,7 +212,7 @@ def all_small(n: int, Q: Array) -> bool:
     return True
 
 
-@jit
+@jit(borrows=True)
 def decorrelate(n: int, Q: Array, warm: bool, scratch: SearchScratch) -> int:
     """Decorrelate: ``Z'QZ = U diag(D) U'`` with nearly diagonal U; OK or NOT_POSITIVE_DEFINITE.
 
@@ -255,7 +255,7 @@ def bootstrap_failure_rate(first: int, n: int, D: Array) -> float:
     return -math.expm1(log_success)
 
 
-@jit
+@jit(borrows=True)
 def _insert(n: int, m: int, z: Array, distance: float, candidates: Array, norms: Array) -> float:
     """Insert a candidate into the m best, ordered by norm; returns the norm that a further one has to beat."""
     slot = m - 1
@@ -270,7 +270,7 @@ def _insert(n: int, m: int, z: Array, distance: float, candidates: Array, norms:
     return float(norms[m - 1])
 
 
-@jit
+@jit(borrows=True)
 def search(n: int, node_limit: int, scratch: SearchScratch) -> int:
     """The m integer vectors nearest to the float solution in the metric of its covariance, best first.
 
@@ -326,7 +326,7 @@ def search(n: int, node_limit: int, scratch: SearchScratch) -> int:
     return NODE_LIMIT
 
 
-@jit
+@jit(borrows=True)
 def to_decorrelated(n: int, a_hat: Array, Zt: Array, a_integer: Array, z_float: Array) -> None:
     """``z = Z' (a - round(a))``: whole cycles are set aside in ``a_integer``, so that large counts lose no digits."""
     for i in range(n):
@@ -338,7 +338,7 @@ def to_decorrelated(n: int, a_hat: Array, Zt: Array, a_integer: Array, z_float: 
         z_float[i] = total
 
 
-@jit
+@jit(borrows=True)
 def from_decorrelated(n: int, z: Array, Z_inverse: Array, a_integer: Array, a: Array) -> None:
     """``a = round(a_hat) + Z^-T z``; ``a`` may not share memory with ``z``."""
     for q in range(n):
@@ -349,7 +349,7 @@ def from_decorrelated(n: int, z: Array, Z_inverse: Array, a_integer: Array, a: A
                 a[q] += z[i] * Z_inverse[i, q]
 
 
-@jit
+@jit(borrows=True)
 def all_finite(n: int, a_hat: Array) -> bool:
     """Whether every entry of the float solution is finite."""
     for i in range(n):
@@ -358,7 +358,7 @@ def all_finite(n: int, a_hat: Array) -> bool:
     return True
 
 
-@jit
+@jit(borrows=True)
 def integer_least_squares(n: int, a_hat: Array, Q: Array, node_limit: int, warm: bool, scratch: SearchScratch) -> int:
     """The integer vectors nearest to ``a_hat`` in the metric of Q: ``min (a_hat - a)' Q^-1 (a_hat - a)``.
 
@@ -397,7 +397,7 @@ def integer_least_squares(n: int, a_hat: Array, Q: Array, node_limit: int, warm:
     return int(status)
 
 
-@jit
+@jit(borrows=True)
 def largest_prefix(
     n_groups: int, group: int, Q: Array, failure_limit: float, scratch: SearchScratch
 ) -> tuple[int, float]:

@@ -180,7 +180,7 @@ class Floats(NamedTuple):
     covariance: Array
 
 
-@jit
+@jit(borrows=True)
 def any_held(ambiguities: Records) -> bool:
     """Whether any ambiguity is held."""
     for s in range(ambiguities.shape[0]):
@@ -253,7 +253,7 @@ def float_solution(
     return Floats(count, order, n, owner, a_hat, q_a)
 
 
-@jit
+@jit(borrows=True)
 def is_reference(s: int, floats: Floats) -> bool:
     """Whether candidate s has no ambiguity of its own: its system's clock is counted from it."""
     for i in range(floats.n):
@@ -262,7 +262,7 @@ def is_reference(s: int, floats: Floats) -> bool:
     return True
 
 
-@jit
+@jit(borrows=True)
 def choose(
     carriers: Carriers, floats: Floats, ambiguities: Records, rules: Any, limit: float, scratch: SearchScratch,
     chosen: Bools,
@@ -402,7 +402,7 @@ def suspect(
     return count
 
 
-@jit
+@jit(borrows=True)
 def hold(
     floats: Floats, groups: int, bands: int, best: Array, chosen: Bools, ambiguities: Records, next_id: int, risk: float
 ) -> None:

@@ -138,7 +138,7 @@ class Carriers(NamedTuple):
     variance: Array
 
 
-@jit
+@jit(borrows=True)
 def weigh(signals: Records, cn0_knee: float, marks: Records) -> None:
     """Variance factor ``(1 + 1/sin^2 el)/2 * (1 + 10^((knee - C/N0)/10))`` of S satellites, UNUSED if not tracked.
 
@@ -196,7 +196,7 @@ def obliquity(sine: float) -> float:
     return 1.0 / math.sqrt(1.0 - EARTH_RATIO**2 * (1.0 - sine * sine))
 
 
-@jit
+@jit(borrows=True)
 def leave_out_faded(signals: Records, rules: Any, dt: float, marks: Records, ambiguities: Records) -> None:
     """Do not use carriers whose C/N0 has just fallen: a ray that bends round an edge is late as soon as it is weak.
 
@@ -243,7 +243,7 @@ def add_layer(rows: Records, normal: Array, rhs: Array) -> None:
                     normal[j, k] += w * gj * (row.e[k] - mean.e[k])
 
 
-@jit
+@jit(borrows=True)
 def collapse_code(signals: Records, bands: int, rows: Records) -> None:
     """Mean of the code over the bands -> ``rows[s].y`` [m]; its variance is that of one band over ``bands``."""
     for s in range(signals.shape[0]):
@@ -251,7 +251,7 @@ def collapse_code(signals: Records, bands: int, rows: Records) -> None:
         rows[s].y = code[0] if bands == 1 else 0.5 * (code[0] + code[1])
 
 
-@jit
+@jit(borrows=True)
 def collapse_phase(carriers: Carriers, ambiguities: Records, bands: int, rows: Records) -> None:
     """Mean over the bands of ``phase - lambda N`` -> ``rows[s].y`` [m]."""
     for s in range(rows.shape[0]):
@@ -270,7 +270,7 @@ def range_of(cycles: Any, satellite: Any, bands: int) -> float:
     return total / bands
 
 
-@jit
+@jit(borrows=True)
 def order_by_variance(candidate: Bools, variance: Array, limit: int, order: Ints) -> int:
     """Indices of the candidates, most precise first, at most ``limit`` of them: fills ``order``, returns the count."""
     n = 0
@@ -373,7 +373,7 @@ def held_base(carriers: Carriers, ambiguities: Records, bands: int, base: Record
                 clock.phase[b] /= clock.weight
 
 
-@jit
+@jit(borrows=True)
 def held_risk(ambiguities: Records) -> float:
     """Probability that any held ambiguity is wrong: the union bound over the fixes that they came from."""
     total, latest = 0.0, -1

@@ -62,7 +62,7 @@ class DopplerMotion(NamedTuple):
     anchor: Array
 
 
-@jit
+@jit(borrows=True)
 def _changes(
     carriers: Carriers, ambiguities: Records, rows: NDArray[np.int64], n: int, motion: DopplerMotion, watch: Any,
     moved: Array,
@@ -80,7 +80,7 @@ def _changes(
     return known
 
 
-@jit
+@jit(borrows=True)
 def _store(
     carriers: Carriers, marks: Records, age: float, motion: DopplerMotion, ambiguities: Records, watch: Any
 ) -> None:
@@ -133,7 +133,7 @@ def _repair(
         held.integers[b] += found[b]
 
 
-@jit
+@jit(borrows=True)
 def _judge(
     carriers: Carriers, rows: NDArray[np.int64], n: int, moved: Array, known: bool, drift: float,
     motion: DopplerMotion, rtk: Any, slips: Any, flags: NDArray[np.int64], s_p: Array,

@@ -42,7 +42,7 @@ class Areas(NamedTuple):
     message: Records
 
 
-@jit
+@jit(borrows=True)
 def advance_process(process, rules, z, slow):  # type: ignore[no-untyped-def]
     """Advance one of the slow processes of a satellite by the draw z."""
     decay, gain = rules.decay, rules.gain
@@ -60,7 +60,7 @@ def advance_process(process, rules, z, slow):  # type: ignore[no-untyped-def]
         slow.phase_multipath[b] = gauss_markov(before, decay.phase_multipath[b], gain.phase_multipath[b], z)
 
 
-@jit
+@jit(borrows=True)
 def write_message(slow, noise, message):  # type: ignore[no-untyped-def]
     """The station's part of a satellite in a new message: its multipath as it now is, and white noise."""
     message.code_multipath = slow.code_multipath

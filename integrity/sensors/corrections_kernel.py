@@ -58,7 +58,7 @@ def quiet_epochs(rules, z):  # type: ignore[no-untyped-def]
     return math.floor(-math.log(tail) / (rules.network_rate * rules.dt))
 
 
-@jit
+@jit(borrows=True)
 def advance_network(epoch, rules, z, network):  # type: ignore[no-untyped-def]
     """The network of an area at ``epoch`` of the clock: messages arrive, outages alternate with quiet by z (2,)."""
     own_s = (epoch - network.begun) * rules.dt
@@ -85,7 +85,7 @@ def advance_networks(epoch, rules, z, networks):  # type: ignore[no-untyped-def]
         advance_network(epoch, rules, z[a], networks[a])
 
 
-@jit
+@jit(borrows=True)
 def receive(epoch, rules, network, sent, chance, z, lost, link, held):  # type: ignore[no-untyped-def]
     """A vehicle's reception at ``epoch`` of the clock: the age of its reference data [s], inf without any.
 

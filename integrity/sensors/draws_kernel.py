@@ -27,7 +27,7 @@ class Draws(NamedTuple):
     drawn: NDArray[np.float64]
 
 
-@jit
+@jit(borrows=True)
 def draw_normals(generator, v, places, table, out):  # type: ignore[no-untyped-def]
     """Standard normals (S w,), w for each satellite of row v of ``places``, and 0 for the others.
 
@@ -45,7 +45,7 @@ def draw_normals(generator, v, places, table, out):  # type: ignore[no-untyped-d
             out[s * width + w] = out[left * width + w] if used[s] else 0.0
 
 
-@jit
+@jit(borrows=True)
 def draw_uniforms(generator, v, places, out):  # type: ignore[no-untyped-def]
     """The same of uniforms in [0, 1)."""
     if places.shape[0] == 0:

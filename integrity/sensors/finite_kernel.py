@@ -10,7 +10,7 @@ from lanebound.integrity.sensors.arrival_kernel import BANDS
 __all__ = ["finite_bands", "finite_records"]
 
 
-@jit
+@jit(borrows=True)
 def finite_records(signals, vehicles):  # type: ignore[no-untyped-def]
     """Whether signals (B, S) of OBSERVED_SIGNAL and vehicles (B,) of OBSERVED_VEHICLE hold finite values alone, and no
     NaN as age."""

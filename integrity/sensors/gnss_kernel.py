@@ -363,7 +363,7 @@ def by_paths(rules, reception, way, system, u, signal, work):  # type: ignore[no
     return True, broken, rate, fade
 
 
-@jit
+@jit(borrows=True)
 def observe_vehicle(  # type: ignore[no-untyped-def]
     rules, site, slows, held, receiver, memory, draws, sky, reception, truth, effects, moved, signals, vehicle, work
 ):  # fmt: skip

@@ -45,7 +45,7 @@ INERTIAL = record(
 """What lasts of the inertial sensors of a vehicle."""
 
 
-@jit
+@jit(borrows=True)
 def measure_triad(triad, axes, z, truth, out):  # type: ignore[no-untyped-def]
     """Increments ``out`` (3,) of a triad by the draws z (3, 5); the axes (3,) advance in place."""
     for i in range(3):
@@ -59,7 +59,7 @@ def measure_triad(triad, axes, z, truth, out):  # type: ignore[no-untyped-def]
         out[i] = truth[i] * (1.0 + axis.scale) + error
 
 
-@jit
+@jit(borrows=True)
 def measure(rules, sensor, z, truth, gyro_bias, out):  # type: ignore[no-untyped-def]
     """Measure a vehicle by the draws z (2, 3, 5): turn and delta_v of ``out`` (OBSERVED_VEHICLE); ``sensor`` (INERTIAL)
     advances.

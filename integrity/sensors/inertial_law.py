@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
 
 from lanebound.integrity.core.errors import InputError, require_finite
 from lanebound.integrity.recorded.series import in_order
@@ -105,6 +104,8 @@ def fit_inertial_law(time_s: ArrayLike, acceleration_mps2: ArrayLike) -> Inertia
 
 def _simplex(t: Array, a: Array, span: float, unit: float) -> InertialErrorLaw:
     """The best of three starts; tau between its bounds."""
+    from scipy.optimize import minimize  # as in significance.py
+
     part = max(t.size // 20, 1)
     first, last = float(a[:part].mean()), float(a[-part:].mean())
     low, high = np.log(SHORTEST), np.log(LONGEST)

@@ -69,7 +69,7 @@ def draw_width(satellites):  # type: ignore[no-untyped-def]
     return sum(OF_SATELLITE) * satellites + OF_VEHICLE
 
 
-@jit
+@jit(inline=True)
 def split(row, satellites):  # type: ignore[no-untyped-def]
     """The draws of a vehicle, (W,): those of NORMALS, UNIFORMS and NEAR for S satellites, and of VEHICLE_DRAWS."""
     a = OF_SATELLITE[0] * satellites
@@ -78,7 +78,7 @@ def split(row, satellites):  # type: ignore[no-untyped-def]
     return row[:a], row[a:b], row[b:c], row[c:]
 
 
-@jit
+@jit(borrows=True)
 def draw_first(g, rules, draws, row, satellites):  # type: ignore[no-untyped-def]
     """The first draws from the streams that a vehicle draws from twice, by the generators ``g``."""
     normals, _, _, own = split(row, satellites)
@@ -87,7 +87,7 @@ def draw_first(g, rules, draws, row, satellites):  # type: ignore[no-untyped-def
         own[OUTAGE_AT] = uniform(draws.generators[CORRECTIONS, g])
 
 
-@jit
+@jit(borrows=True)
 def draw_rest(g, rules, draws, row, satellites):  # type: ignore[no-untyped-def]
     """All further draws."""
     generators, table = draws.generators, draws.table

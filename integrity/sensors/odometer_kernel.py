@@ -44,7 +44,7 @@ def roll(rules, wheels, fault_scale, distance_m):  # type: ignore[no-untyped-def
     return counted
 
 
-@jit
+@jit(borrows=True)
 def measure(rules, wheels, z, truth_m, moved, out):  # type: ignore[no-untyped-def]
     """Measure a vehicle by the draw z: distance and speed of ``out`` (OBSERVED_VEHICLE); ``wheels`` (WHEELS) advance.
 

@@ -405,14 +405,14 @@ def count_free(free, arc, lane, azimuth, elevation, above, spacing, n_az, n_el):
     return count
 
 
-@jit
+@jit(borrows=True)
 def find_cells(rules, azimuth, elevation, cells):  # type: ignore[no-untyped-def]
     """Fill the cell of each satellite (S,) of a mask with ``rules`` (MASK_RULES), -1 below the horizon."""
     for s in range(cells.shape[0]):
         cells[s] = bin_of(azimuth[s], elevation[s], rules.azimuths, rules.elevations)
 
 
-@jit
+@jit(borrows=True)
 def look_up(mask, cells, arc, lane, out):  # type: ignore[no-untyped-def]
     """Reception ``out`` (S,) of RECEPTION in the cells (S,) of a mask (MaskRows): nearest station, lane clamped."""
     rules, stations = mask.rules[0], mask.path.shape[0]

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from lanebound.integrity.core.errors import InputError, require_finite
@@ -49,6 +48,8 @@ class NormalMixture:
 
     def quantile_m(self, risk: float) -> float:
         """Size that errors exceed with this risk."""
+        from scipy.optimize import brentq  # as in significance.py
+
         high = float((np.abs(self.mean_m) + 40.0 * self.sigma_m).max())
         return float(brentq(lambda x: self.beyond(x) - risk, 0.0, high, xtol=1e-9))
 

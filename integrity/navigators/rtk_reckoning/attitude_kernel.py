@@ -39,7 +39,7 @@ REST_S = 0.5  # without motion, until the vehicle is at rest
 REST_DOPPLER_MPS = 0.1  # Doppler speed that is no motion, at least
 
 
-@jit
+@jit(borrows=True)
 def find_attitude(first: int, last: int, epoch: Epoch) -> None:
     """Heading at the end of the epoch, and the course in its middle."""
     par = epoch.parameters[0]
@@ -71,7 +71,7 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
         correlate(par.doppler.decay, par.doppler.white, heading, step.turn)
 
 
-@jit
+@jit(borrows=True)
 def admit_doppler(first: int, last: int, epoch: Epoch) -> None:
     """Whether the Doppler velocity may move the position: tested, of good geometry, and with a heading not in doubt."""
     par = epoch.parameters[0]

@@ -9,7 +9,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 __all__ = ["follow_histories", "judge_histories"]
 
 
-@jit
+@jit(borrows=True)
 def follow_histories(first: int, last: int, epoch: Epoch) -> None:
     """Advance the paths by both headings while gyro and Doppler contradict each other."""
     par = epoch.parameters[0]
@@ -22,7 +22,7 @@ def follow_histories(first: int, last: int, epoch: Epoch) -> None:
         follow_paths(taken, run, w.middle, w.reckoned, w.turned, par.lever, vehicle.doubt, vehicle.growth)
 
 
-@jit
+@jit(borrows=True)
 def judge_histories(first: int, last: int, epoch: Epoch) -> None:
     """Let RTK positions that are accepted, one epoch after the other, decide which heading was right."""
     par = epoch.parameters[0]

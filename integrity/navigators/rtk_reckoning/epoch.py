@@ -89,7 +89,8 @@ class EpochStages:
 
     def __init__(self, config: RtkReckoningConfig, services: ServiceSet) -> None:
         rtk, modes = config.positioning.rtk, [mode.stage for mode in config.chosen_modes]
-        at = {point: list(services.stages.get(point, ())) for point in Point}
+        of_services = services.stages
+        at = {point: list(of_services.get(point, ())) for point in Point}
         for extra in config.extra_stages:
             for point, stage in extra.stages.items():
                 at[point].append(stage)
@@ -106,7 +107,9 @@ class EpochStages:
     def compile_ahead(self, make: Callable[[], Epoch]) -> None:
         """Begin to compile the plain epoch, in a second process too, if it is not cached; ``make`` returns an epoch."""
         global _ahead
-        if _ahead is None and self._faultless == [kernels.locate] and Ahead.helps([*PLAIN, kernels.locate]):
+        if _ahead is not None or self._faultless != [kernels.locate] or kernels.locate.overloads:
+            return
+        if Ahead.helps([*PLAIN, kernels.locate]):
             _ahead = Ahead(PLAIN, (numba.int64, numba.int64, numba.typeof(make()))).start()
 
     def for_epoch(self, observed: Records) -> EpochCall:

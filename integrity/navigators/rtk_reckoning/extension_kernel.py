@@ -18,7 +18,7 @@ from lanebound.integrity.positioning.codes_kernel import UNDECIDED
 __all__ = ["begin", "exclude_satellite", "raise_alert", "raise_level", "refuse_doppler", "refuse_fix"]
 
 
-@jit
+@jit(borrows=True)
 def begin(first: int, last: int, epoch: Epoch) -> None:
     """Advance the clocks. Nothing is estimated yet, and no level is known."""
     for v in range(first, last):

@@ -260,7 +260,7 @@ def levels_of_fix(
             pl[r, 0], pl[r, 1] = found[0, 0] + shift, found[0, 1] + shift
 
 
-@jit
+@jit(borrows=True)
 def lever_bounds(vehicle: Any, faults: Records, par: Any) -> tuple[float, float]:
     """Bounds on the shift of the reference point against the antenna by a wrong heading, along and across [m].
 

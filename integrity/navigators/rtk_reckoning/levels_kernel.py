@@ -48,7 +48,7 @@ def later_by(since: float, memory: float, duration: float) -> float:
     return 1.0 + (since + 3.0 * memory) / duration if since < math.inf else 1.0
 
 
-@jit
+@jit(borrows=True)
 def find_reckoned_levels(first: int, last: int, epoch: Epoch) -> None:
     """Levels of the position as dead reckoning has moved it; inf where the odometer is doubted."""
     par, tables = epoch.parameters[0], epoch.tables
@@ -61,7 +61,7 @@ def find_reckoned_levels(first: int, last: int, epoch: Epoch) -> None:
             cover_histories(vehicle.doubt, tables, levels)
 
 
-@jit
+@jit(borrows=True)
 def cover_histories(doubt: Any, tables: Tables, levels: Array) -> None:
     """Raise the exact levels (R, 2) to hold along and across both headings, by gyro and by Doppler."""
     if doubt.stage == NONE:
@@ -71,7 +71,7 @@ def cover_histories(doubt: Any, tables: Tables, levels: Array) -> None:
             cover_axes(doubt.difference, levels[r])
 
 
-@jit
+@jit(borrows=True)
 def levels_since_fix(
     growth: Any, starts: Records, separations: Records, tables: Tables, risk: Any, sin_h: float, cos_h: float,
     later: float, pl: Array,
@@ -121,7 +121,7 @@ def levels_since_fix(
             pl[r, q] = level + sigma_bias[2 + q] + bow + risk.reference_bias + aside(sine, cosine, growth)
 
 
-@jit
+@jit(borrows=True)
 def restart(vehicle: Any, starts: Records, faults: Records, tables: Tables, risk: Any, w: Any, level: Array) -> None:
     """Restart dead reckoning at the RTK position just found, for every case.
 

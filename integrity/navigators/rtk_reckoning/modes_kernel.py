@@ -22,7 +22,7 @@ SIGMAS = 5.0  # of the yaw rate in that bound
 __all__ = ["advance_doppler", "advance_imu_odometer", "advance_nothing", "doppler_is_tighter", "move", "stand"]
 
 
-@jit
+@jit(borrows=True)
 def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
     """Doppler: ``p += dt/2 (v_{t-1} + v_t)`` where its velocity is usable and the last RTK position is recent."""
     par = epoch.parameters[0]
@@ -65,7 +65,7 @@ def doppler_is_tighter(w: Any, vehicle: Any, speed: float, k_md: Array, par: Any
     return bool(doppler * doppler < across * across + along * along)
 
 
-@jit
+@jit(borrows=True)
 def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
     """IMU and odometer: ``p += V dt [sin t, cos t]``; usable after a first position."""
     par = epoch.parameters[0]
@@ -101,7 +101,7 @@ def _slip_bound(heading: Any, par: Any, speed: float, turning: float) -> float:
     return float(par.dt * par.lever.axle * SIGMAS * math.sqrt(heading.p_bb + heading.p_ss * turning * turning))
 
 
-@jit
+@jit(borrows=True)
 def advance_nothing(first: int, last: int, epoch: Epoch) -> None:
     """No mode is usable: the position stays, and no level holds for it before the next RTK position."""
     for v in range(first, last):

@@ -38,7 +38,7 @@ __all__ = ["judge_fix", "separate_doppler", "watch_speeds", "widen_levels"]
 CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
 
 
-@jit
+@jit(borrows=True)
 def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
     """Advance the separations of both dead reckonings and of the heading; this epoch's influences become the last."""
     par = epoch.parameters[0]
@@ -58,7 +58,7 @@ def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
         vehicle.separated = vehicle.separated or w.integrates or w.run != 0.0
 
 
-@jit
+@jit(borrows=True)
 def is_idle(fault: Any) -> bool:
     """Whether nothing that a fault mode could have done is left in velocity, heading or position."""
     if fault.now.state != IDLE or fault.last.state != IDLE or fault.course.used != 0.0:
@@ -66,7 +66,7 @@ def is_idle(fault: Any) -> bool:
     return bool(fault.latest.state == IDLE and fault.backup.state == IDLE)
 
 
-@jit
+@jit(borrows=True)
 def separate(t: Any, across_e: float, across_n: float, vehicle: Any, w: Any, fault: Any) -> None:
     """Advance the separations of one fault mode; ``t`` integrates velocities, ``across`` is the run along the heading.
 
@@ -88,7 +88,7 @@ def separate(t: Any, across_e: float, across_n: float, vehicle: Any, w: Any, fau
         forget_influence(fault.last)
 
 
-@jit
+@jit(borrows=True)
 def watch_speeds(first: int, last: int, epoch: Epoch) -> None:
     """Odometer watch: while the odometer is doubted, or Doppler has contradicted it, no level holds without RTK."""
     par = epoch.parameters[0]
@@ -130,7 +130,7 @@ def judge_fix(first: int, last: int, epoch: Epoch) -> None:
                 ambiguities[s].held = False
 
 
-@jit
+@jit(borrows=True)
 def judge_position(vehicle: Any, par: Any, w: Any, expected: Array, found: Array) -> int:
     """ACCEPTED, REFUSED or QUARANTINED: a confirmed RTK position and the one expected; levels of both (R, 2) [m].
 
@@ -195,7 +195,7 @@ def copy_reckoning(source: int, to: int, vehicle: Any, starts: Records, faults: 
             faults[k].latest = faults[k].backup
 
 
-@jit
+@jit(borrows=True)
 def widen_levels(first: int, last: int, epoch: Epoch) -> None:
     """Jump monitor: while RTK contradicts the position, the levels cover RTK's history too."""
     for v in range(first, last):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.records import Records, blocks, copied
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.monitoring.heading_doubt_kernel import HEADING_DOUBT
 from lanebound.integrity.monitoring.heading_separation_kernel import COURSE, SPREAD
@@ -52,8 +52,8 @@ class RtkReckoningNavigator(Navigator):
 
     def prepare(self) -> None:
         """The parameters, and the list of stages."""
-        self._parameters = epoch_parameters(self.config)
-        self._tables = epoch_tables(self.config, self.track.system)
+        kind, text = type(self.config), self.config.to_json()
+        self._parameters, self._tables = _figures(kind, text, tuple(self.track.system.tolist()))
         self._services = ServiceSet(self.config, self.track.system)
         self._stages = EpochStages(self.config, self._services)
         self._epoch: tuple[State, Epoch] | None = None
@@ -93,7 +93,7 @@ class RtkReckoningNavigator(Navigator):
     ) -> None:
         """Dead-reckon from the prior until RTK is found; the gyro bias and the alert stay."""
         belief = self.state.belief
-        old, fresh = belief.vehicles[rows], np.zeros(position_en_m.shape[0], belief.vehicles.dtype)
+        old, fresh = blocks(belief.vehicles)[rows].view(VEHICLE), np.zeros(position_en_m.shape[0], VEHICLE)
         fresh["position"][:, :2], fresh["position"][:, 2] = position_en_m, old["position"][:, 2]
         fresh["velocity"] = old["velocity"]
         fresh["heading"], fresh["alert"], fresh["rtk"] = old["heading"], old["alert"], old["rtk"]
@@ -102,28 +102,46 @@ class RtkReckoningNavigator(Navigator):
         fresh["backup"]["position"] = old["backup"]["position"]
         for axis in ("p_ee", "p_nn"):
             fresh["growth"][axis] = sigma_m**2
-        belief.vehicles[rows] = fresh
+        blocks(belief.vehicles)[rows] = blocks(fresh)
         for array in arrays_of(belief[2:]):  # all but vehicles and ambiguities
-            array[rows] = np.zeros((), array.dtype)
+            blocks(array)[rows] = bytes(array.itemsize)
         belief.ambiguities["held"][rows], belief.ambiguities["last_phase"][rows] = False, 0.0
         self._services.forget(self.state.extensions, rows)
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
+        return solution_of(*self._advance(m))
+
+    def follow(self, m: Measurements) -> None:
+        """:meth:`solve` without making the solution."""
+        if self.config.context is None:
+            self._advance(m)
+        else:
+            super().follow(m)
+
+    def _advance(self, m: Measurements) -> tuple[Measurements, Epoch]:
+        """Advance the belief by an epoch: the measurements that it used, and the epoch."""
         m = with_finite(m)
         states, (signals, vehicles) = self._services.with_inputs(m, self.state.extensions), observed(m)
         stages = self._stages.for_epoch(vehicles)
         if stages.changes_signals:
-            signals = signals.copy()
+            signals = copied(signals)
         epoch = self._epoch_of(self.state.belief)._replace(signals=signals, observed=vehicles)
         run_rows(stages, self.batch, epoch, states, row_us=LOCATE_US)
-        return solution_of(m, epoch)
+        return m, epoch
 
     def _epoch_of(self, belief: State) -> Epoch:
         """The arrays of an epoch; those of the belief are its own."""
         if self._epoch is None or self._epoch[0] is not belief:
             self._epoch = belief, blank_epoch(self._parameters, self._tables, belief)
         return self._epoch[1]
+
+
+@lru_cache(maxsize=32)
+def _figures(kind: type[RtkReckoningConfig], text: str, system: tuple[int, ...]) -> tuple[Records, Tables]:
+    """Parameters and tables of an epoch for satellites of these systems, in shared arrays. Do not write them."""
+    config = kind.from_json(text)
+    return epoch_parameters(config), epoch_tables(config, np.array(system, dtype=np.int64))
 
 
 def give_heading(heading: Records, angle_rad: Array, sigma_rad: float) -> None:
@@ -177,7 +195,7 @@ def blank_epoch(parameters: Records, tables: Tables, belief: State) -> Epoch:
 
 def solution_of(m: Measurements, epoch: Epoch) -> Solution:
     """The solution in arrays of its own."""
-    out, levels = epoch.out.copy(), epoch.levels.copy()
+    out, levels = copied(epoch.out), epoch.levels.copy()
     return Solution(  # positional, in the order of its fields: half the time for a single vehicle
         m.time_s, out["position"], out["heading"], out["velocity"], m.odometer.speed_mps, out["covariance"],
         out["sigma_at"], out["sigma_ct"], levels[:, 0, 0], levels[:, 0, 1], levels, out["mode"], out["rtk"],

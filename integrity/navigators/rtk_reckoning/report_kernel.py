@@ -17,7 +17,7 @@ from lanebound.integrity.positioning.codes_kernel import CODE, DOPPLER, NONE, RT
 __all__ = ["report", "take_fix"]
 
 
-@jit
+@jit(borrows=True)
 def take_fix(first: int, last: int, epoch: Epoch) -> None:
     """Replace the position by an accepted RTK position and restart dead reckoning there; before, by that of codes."""
     par, tables = epoch.parameters[0], epoch.tables
@@ -51,7 +51,7 @@ def take_fix(first: int, last: int, epoch: Epoch) -> None:
             vehicle.velocity[0], vehicle.velocity[1] = speed * math.sin(course), speed * math.cos(course)
 
 
-@jit
+@jit(borrows=True)
 def report(first: int, last: int, epoch: Epoch) -> None:
     """Advance the alert and fill the outputs."""
     par = epoch.parameters[0]
@@ -86,7 +86,7 @@ def report(first: int, last: int, epoch: Epoch) -> None:
         out.covariance[0, 1] = out.covariance[1, 0] = g.p_en + turned_e * turned_n * variance
 
 
-@jit
+@jit(borrows=True)
 def keep_finite(vehicle: Any, levels: Any) -> bool:
     """Whether position and heading are finite; else there is no level, and the position is the last one of RTK that is.
 
@@ -104,7 +104,7 @@ def keep_finite(vehicle: Any, levels: Any) -> bool:
     return False
 
 
-@jit
+@jit(borrows=True)
 def _report_state(vehicle: Any, w: Any, out: Any) -> None:
     """Position, heading, velocity, mode and counts of a vehicle."""
     for k in range(2):

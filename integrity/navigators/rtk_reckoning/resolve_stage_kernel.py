@@ -69,7 +69,7 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
                 rtk.refused_s = rules.retry if fixed.status != FIXED else 0.0
 
 
-@jit
+@jit(borrows=True)
 def fill_rows(carriers: Carriers, marks: Records, rows: Records) -> None:
     """Satellites and lines of sight of the rows (S,), and those in use."""
     for s in range(rows.shape[0]):

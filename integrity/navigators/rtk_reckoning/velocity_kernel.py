@@ -69,7 +69,7 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
         w.checked = w.solved and not w.suspect and (par.risk.published or affordable)
 
 
-@jit
+@jit(borrows=True)
 def lost_prior(prior: Array, faults: Records) -> float:
     """Sum of the priors (M,) of modes that are LOST in velocity, position since the fix or heading."""
     total = 0.0
