@@ -206,7 +206,10 @@ def _few_recordings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def test_lies_of_those_without_receivers_are_refused() -> None:
     env = DrivingEnv(make_config("lanebound/CarFollowing-v0", {**FEW, "perception": {"source": "truth"}}))
     lie = {"kind": "v2v_lie", "start_s": 0.5, "magnitude_m": 5.0}
-    with pytest.raises(
-        InputError, match=r"options\.faults\.0\.kind must not be v2v_lie where no other vehicle navigates"
-    ):
+    with pytest.raises(InputError, match=r"faults\.0\.kind must not be v2v_lie where no other vehicle lies"):
         env.reset(seed=1, options={"faults": [lie]})
+    env = DrivingEnv(make_config("lanebound/CarFollowing-v0", FEW))
+    jamming = {"kind": "jamming", "start_s": 0.5, "magnitude_db": 20.0}
+    with pytest.raises(InputError, match=r"faults\.0\.vehicle must be 0 with perception\.others surrogate, got None"):
+        env.reset(seed=1, options={"faults": [jamming]})
+    env.reset(seed=1, options={"faults": [{**jamming, "vehicle": 0}]})
