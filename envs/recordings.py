@@ -26,12 +26,13 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 import lanebound.envs
 import lanebound.integrity
-from lanebound.envs.batch.surrogate_kernel import SAID, Recordings
+from lanebound.envs.batch.perception_kernel import COURSE_FROM_MPS
+from lanebound.envs.batch.surrogate_kernel import SAID, TRAITS, Recordings
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.kernel_cache import cache_root
-from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import named_generator
 
 __all__ = ["AWAY_M", "EPISODES", "SEED", "city_of", "epochs_of", "recordings_of", "require_recordable"]
@@ -145,6 +146,7 @@ def epochs_of(config: EnvConfig, world: AbstractEnv) -> int:
 
 def _recordings_in(notes: Records, still_mps: float) -> Recordings:
     """The vehicles in notes (E, K, C) NOTE of E episodes; those at the start come first, the others as they enter."""
+    traits = _take_traits(notes, still_mps)
     recorded = [_vehicles_in(of_episode) for of_episode in notes]
     some = [vehicles for vehicles in recorded if vehicles] or [[(0, np.zeros(1, SAID))]]
     episodes = [vehicles or some[e % len(some)] for e, vehicles in enumerate(recorded)]  # where nobody was, another
@@ -156,7 +158,25 @@ def _recordings_in(notes: Records, still_mps: float) -> Recordings:
         count[e], began[e] = len(vehicles), sum(first == 0 for first, _ in vehicles)
         for i, (_, rows) in enumerate(vehicles):
             said[e, i, : rows.size], lengths[e, i] = rows, rows.size
-    return Recordings(said, lengths, began, count, np.array([still_mps]))
+    return Recordings(said, lengths, began, count, traits)
+
+
+def _take_traits(notes: Records, still_mps: float) -> Records:
+    """Take what errors have in common with braking and yaw rate out of notes, by least squares.  -> (1,) TRAITS"""
+    said, move = notes["said"], notes["move"]
+    there, speed = move["key"] > 0, np.abs(move["speed_mps"])
+    slopes = []
+    for error, cause, some in (
+        (said["speed_mps"], move["braking_mps2"], there & (speed >= still_mps)),
+        (said["turn_rad"], move["yaw_radps"], there & (speed > COURSE_FROM_MPS)),
+    ):
+        x, y = cause[some], error[some].astype(np.float64)
+        power = float(x @ x)
+        if power > 0.0:
+            y = np.clip(y, *np.quantile(y, (0.01, 0.99)))  # errors of outages do not decide
+        slopes.append(float(x @ y) / power if power > 0.0 else 0.0)
+        error[some] -= (slopes[-1] * x).astype(np.float32)
+    return one_record(TRAITS, still_mps=still_mps, speed_s=slopes[0], course_s=slopes[1])
 
 
 def _vehicles_in(notes: Records) -> list[tuple[int, Records]]:

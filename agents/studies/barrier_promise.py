@@ -251,6 +251,10 @@ class BarrierPromiseConfig(Config):
     source: Literal["v2v", "sensor", "both"] = Field("v2v", description="what tells the ego of its leader")
     barrier: BarrierConfig = Field(BarrierConfig(), description="of the filter")
 
+    def one_fault(self, seed: int) -> Fault:
+        """The fault of an episode; others lie only where they are heard."""
+        return one_fault(seed, self.length_s, self.source != "sensor")
+
 
 class Reckless:
     """Steers well and accelerates as it likes: full throttle, anything at any time, or by mood.
@@ -279,10 +283,13 @@ class Reckless:
         return np.array([self._share, action[1]], dtype=np.float32), after
 
 
-def one_fault(seed: int, length_s: float) -> Fault:
-    """The fault of an episode: any kind, from a time in its first half on, the same for all vehicles."""
-    rng = named_generator(seed, "one fault")
-    name, low, high = FAULTS[int(rng.integers(len(FAULTS)))]
+def one_fault(seed: int, length_s: float, radio: bool = True) -> Fault:
+    """The fault of an episode: any kind, from a time in its first half on, the same for all vehicles.
+
+    ``radio``: whether the ego hears others, who may lie.
+    """
+    rng, able = named_generator(seed, "one fault"), [of for of in FAULTS if radio or of[0] != "v2v_lie"]
+    name, low, high = able[int(rng.integers(len(able)))]
     kind = fault_kind(name)
     size, start, azimuth = rng.uniform(low, high), rng.uniform(0.0, 0.5 * length_s), rng.uniform(0.0, 360.0)
     profile = "ramp" if rng.random() < 0.5 and "ramp" in kind.profiles else "step"
@@ -299,15 +306,15 @@ def one_fault(seed: int, length_s: float) -> Fault:
 class _Faulty:
     """An environment whose every episode has its own fault; drives like the one within."""
 
-    def __init__(self, env: DrivingEnv, length_s: float) -> None:
-        self._env, self._length_s = env, length_s
+    def __init__(self, env: DrivingEnv, config: BarrierPromiseConfig) -> None:
+        self._env, self._config = env, config
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._env, name)
 
     def reset(self, *, seed: int) -> Any:
         """Begin an episode with the fault of its seed."""
-        return self._env.reset(seed=seed, options={"faults": [one_fault(seed, self._length_s)]})
+        return self._env.reset(seed=seed, options={"faults": [self._config.one_fault(seed)]})
 
 
 def drive_part(
@@ -322,7 +329,7 @@ def drive_part(
             continue
         seen = {"perception": {"source": config.source}}
         env = open_env("CarFollowing", {"sky": sky, "world": {"duration": config.length_s}} | seen)
-        world: Any = env if group == "none" else _Faulty(env, config.length_s)
+        world: Any = env if group == "none" else _Faulty(env, config)
         reckless = Reckless(env)
         barrier = BarrierFilter(env, reckless, config.barrier)
         for seed in mine:
@@ -369,7 +376,7 @@ def run_promise(
 def _by_fault(config: BarrierPromiseConfig, crashed: Sequence[int]) -> dict[str, dict[str, Any]]:
     """Episodes and crashes by the kind of the fault that each seed has."""
     seeds = range(config.first_seed, config.first_seed + config.episodes)
-    of = {seed: one_fault(seed, config.length_s).kind for seed in seeds}
+    of = {seed: config.one_fault(seed).kind for seed in seeds}
     episodes, crashes = Counter(of.values()), Counter(of[seed] for seed in crashed)
     return {
         kind: {"episodes": count, "crashes": crashes[kind], "crash_share_95": clopper_pearson(crashes[kind], count)}

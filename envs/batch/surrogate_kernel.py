@@ -3,7 +3,8 @@
 A recorded episode holds, for each vehicle and epoch, the error of what it broadcast and its levels (SAID). A vehicle
 that speaks with them says its own true position, course and speed plus that error. Errors along and across are along
 its true heading and to the right of it. Courses and speeds are those of the epoch: the course contains the side slip of
-a turn, and the speed is its mean, as the wheels count it.
+a turn, and the speed is its mean, as the wheels count it. What their errors have in common with yaw rate and braking,
+such as the lag of an epoch, is a figure of the recordings (TRAITS), and SAID holds the rest.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from lanebound.envs.batch.perception_kernel import COURSE_FROM_MPS
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 
-__all__ = ["MOVE", "NOTE", "SAID", "Recordings", "Speakers", "note", "recite_rows"]
+__all__ = ["MOVE", "NOTE", "SAID", "TRAITS", "Recordings", "Speakers", "note", "recite_rows"]
 
 MOST_SLIP = 0.9  # sine, of a car at full lock 0.65
 
@@ -40,6 +41,11 @@ MOVE = record(
     yaw_radps="mean yaw rate of the epoch",
     braking_mps2="mean deceleration of the epoch",
 )
+TRAITS = record(
+    still_mps="mean speed below which wheels show rest",
+    speed_s="error of the speed by a deceleration [m/s by m/s^2]",
+    course_s="error of the course by a yaw rate [rad by rad/s]",
+)
 NOTE = record(said=(SAID, "what a vehicle says"), move=(MOVE, "how it moves"))
 
 
@@ -47,15 +53,14 @@ class Recordings(NamedTuple):
     """What the vehicles of E recorded episodes have said.
 
     said (E, P, K) SAID: by epoch since the start of the episode, or since the vehicle has entered it; epochs (E, P): of
-    each vehicle; began (E,): vehicles at the start, which come first; count (E,): all vehicles; still_mps (1,): mean
-    speed below which wheels show rest.
+    each vehicle; began (E,): vehicles at the start, which come first; count (E,): all vehicles; traits (1,) TRAITS.
     """
 
     said: Records
     epochs: NDArray[np.int64]
     began: NDArray[np.int64]
     count: NDArray[np.int64]
-    still_mps: NDArray[np.float64]
+    traits: Records
 
 
 class Speakers(NamedTuple):
@@ -93,7 +98,7 @@ def recite_rows(first, last, rows, cars, egos, pictures, recordings, speakers, t
             _follow(move, car, key, epoch_s)
             place = _place(key - 1, who.began[e], r.began[k], r.count[k])
             epoch = _epoch(who.now[e] - who.since[e, slot], r.epochs[k, place])
-            _say(p.spoken[e, slot], car, move, r.said[k, place, epoch], ago, r.still_mps[0])
+            _say(p.spoken[e, slot], car, move, r.said[k, place, epoch], ago, r.traits[0])
 
 
 @jit(inline=True)
@@ -133,14 +138,17 @@ def _epoch(age, epochs):  # type: ignore[no-untyped-def]
 
 
 @jit(inline=True)
-def _say(c, car, move, said, ago_s, still_mps):  # type: ignore[no-untyped-def]
+def _say(c, car, move, said, ago_s, traits):  # type: ignore[no-untyped-def]
     """Fill a CLAIM of a true vehicle, ``ago_s`` <= 0 before it is where it is; wheels at rest show no error."""
     cos, sin = math.cos(car.heading), math.sin(car.heading)
     along = said.along_m + car.speed * ago_s
     c.x_m = car.x + along * cos - said.across_m * sin
     c.y_m = car.y + along * sin + said.across_m * cos
-    c.heading_rad = move.course_rad + said.turn_rad
-    c.speed_mps = move.speed_mps + said.speed_mps if abs(move.speed_mps) >= still_mps else 0.0
+    c.heading_rad, c.speed_mps = move.course_rad + said.turn_rad, 0.0
+    if abs(car.speed) > COURSE_FROM_MPS:
+        c.heading_rad += traits.course_s * move.yaw_radps
+    if abs(move.speed_mps) >= traits.still_mps:
+        c.speed_mps = move.speed_mps + said.speed_mps + traits.speed_s * move.braking_mps2
     c.pl_at_m, c.pl_ct_m, c.sends = said.pl_at_m, said.pl_ct_m, said.sends
 
 

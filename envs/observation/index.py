@@ -325,7 +325,6 @@ def register_entry(entry: Entry) -> None:
     if isinstance(entry.source, str):
         _word_of(entry.source)
     _registered.append(entry)
-    entries.cache_clear()
 
 
 def withdraw_entry(column: str) -> None:
@@ -338,17 +337,21 @@ def withdraw_entry(column: str) -> None:
     """
     require_registered("entry", column, [entry.column for entry in _registered])
     _registered[:] = [entry for entry in _registered if entry.column != column]
-    entries.cache_clear()
+
+
+def entries(config: ObservationConfig) -> tuple[Entry, ...]:
+    """Every entry of one observation, in the order of the flat form."""
+    return _entries(config, tuple(_registered), tuple(m.key for m in Mode))
 
 
 @lru_cache(maxsize=64)
-def entries(config: ObservationConfig) -> tuple[Entry, ...]:
-    """Every entry of one observation, in the order of the flat form."""
+def _entries(config: ObservationConfig, registered: tuple[Entry, ...], modes: tuple[str, ...]) -> tuple[Entry, ...]:
+    """:func:`entries`, with those that were registered; they depend on the registered modes as well."""
     out: list[Entry] = []
     for group in GROUPS:
         shown = DECLARED[group](config)
         hidden = group == "integrity" and not config.shows_levels
-        out += shown if hidden else [*shown, *(entry for entry in _registered if entry.group == group)]
+        out += shown if hidden else [*shown, *(entry for entry in registered if entry.group == group)]
     return tuple(out)
 
 

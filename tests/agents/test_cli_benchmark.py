@@ -65,7 +65,7 @@ def test_options_choose_agents_seeds_and_budget(driven, tmp_path):
         "mine": "bad_agents:draws",
     }
     assert (plan.suite.seeds.count, plan.suite.skies) == (2, ("open",))
-    assert "8 episodes to drive with 3 processes: a minute or less, of which" in told.stderr
+    assert "8 episodes to drive with 3 processes: a minute or less" in told.stderr  # perhaps more to compile
     assert "of which 1.5 h may be used" in told.stderr
 
 

@@ -98,12 +98,13 @@ def test_the_engine_and_single_environments_judge_alike(tmp_path: Path) -> None:
     model = load_model(tmp_path / "last.zip", engine.algorithm)
     assert for_judging(engine, 3).num_envs == 3
     assert for_judging(engine.replace(engine=False), 3).num_envs == 1
-    assert for_judging(engine.replace(overrides={**overrides, "faults": "nominal"}), 3).num_envs == 1
+    dynamical = {"action_options": {"dynamical": True}}
+    assert for_judging(engine.replace(overrides={**overrides, **dynamical}), 3).num_envs == 1
     assert evaluate(engine, model) == pytest.approx(evaluate(engine.replace(engine=False), model), rel=1e-5)
     with pytest.raises(
-        ConfigError, match="engine must be left out here, got true: faults must be 'none' in the vector"
+        ConfigError, match=r"engine must be left out here, got true: action_options\.dynamical must be False"
     ):
-        for_judging(engine.replace(overrides={"faults": "nominal"}, engine=True), 3)
+        for_judging(engine.replace(overrides=dynamical, engine=True), 3)
 
 
 def test_another_experiment_is_refused_with_what_differs(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from lanebound.envs import recordings
 from lanebound.envs.batch.perception import PerceptionBatch
 from lanebound.envs.batch.records_kernel import CAR, EGO
-from lanebound.envs.batch.surrogate_kernel import NOTE, SAID, Recordings, note, recite_rows
+from lanebound.envs.batch.surrogate_kernel import NOTE, SAID, TRAITS, Recordings, note, recite_rows
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.perception import PerceptionConfig
@@ -22,10 +22,12 @@ from lanebound.envs.registration import make_config
 from lanebound.envs.vector.crossing_kernel import INSIDE
 from lanebound.envs.vector.recorder import Recorder
 from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.records import one_record
 
 EPOCHS, CREW = 6, 3
 FEW: dict[str, Any] = {"sky": "open", "layouts": 1, "duration_s": 2.0, "perception": {"others": "surrogate"}}
 RNG = np.random.default_rng(3)
+TRAIT = one_record(TRAITS, still_mps=0.15, speed_s=0.02, course_s=0.03)
 
 
 def _recordings(episodes: int = 2, began: int = CREW, count: int = CREW) -> Recordings:
@@ -35,7 +37,7 @@ def _recordings(episodes: int = 2, began: int = CREW, count: int = CREW) -> Reco
         said[name] = RNG.uniform(0.1, 0.4, said.shape)
     said["sends"] = 1
     lengths = np.full((episodes, count), EPOCHS)
-    return Recordings(said, lengths, np.full(episodes, began), np.full(episodes, count), np.full(1, 0.15))
+    return Recordings(said, lengths, np.full(episodes, began), np.full(episodes, count), TRAIT)
 
 
 def _street(given: Recordings, seed: int = 5) -> tuple[PerceptionBatch, Any, Any]:
@@ -112,8 +114,23 @@ def test_in_a_turn_the_course_is_said_and_at_rest_no_speed() -> None:
     _recite(batch, cars, egos, 0.1)
     said, claims = given.said[batch._speakers.episode[0], :, 1], batch.pictures.spoken[0]
     slip = claims["heading_rad"] - cars["heading"][0, 1:] - said["turn_rad"]
-    assert_allclose(slip, [np.arcsin(2.5 * 0.5 / 10.0), 0.0, 0.0], atol=1e-6)
-    assert_allclose(claims["speed_mps"], [10.0 + said["speed_mps"][0], 0.0, 11.0 + said["speed_mps"][2]], rtol=1e-6)
+    assert_allclose(slip, [np.arcsin(2.5 * 0.5 / 10.0) + 0.03 * 0.5, 0.0, 0.0], atol=1e-6)
+    speeds = [10.0 + said["speed_mps"][0], 0.0, 11.0 + said["speed_mps"][2] + 0.02 * 20.0]
+    assert_allclose(claims["speed_mps"], speeds, rtol=1e-6)
+
+
+def test_what_errors_have_in_common_with_motion_is_taken_out() -> None:
+    notes = np.zeros((4, 200, 2), NOTE)
+    notes["move"]["key"], notes["move"]["speed_mps"] = 1, 8.0
+    for name in ("yaw_radps", "braking_mps2"):
+        notes["move"][name] = RNG.normal(0.0, 1.0, notes.shape)
+    rest = RNG.normal(0.0, 0.01, (2, *notes.shape))
+    notes["said"]["speed_mps"] = 0.05 * notes["move"]["braking_mps2"] + rest[0]
+    notes["said"]["turn_rad"] = -0.04 * notes["move"]["yaw_radps"] + rest[1]
+    traits = recordings._take_traits(notes, 0.15)[0]
+    assert_allclose([traits["speed_s"], traits["course_s"]], [0.05, -0.04], rtol=0.03)
+    assert_allclose(notes["said"]["speed_mps"], rest[0], atol=0.006)
+    assert_allclose(notes["said"]["turn_rad"], rest[1], atol=0.006)
 
 
 def test_nobody_heeds_the_ego_of_a_recording() -> None:
