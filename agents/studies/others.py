@@ -7,6 +7,7 @@ atmosphere, reference station and outages; in other cities whole cities, since t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -277,7 +278,11 @@ def _there(notes: Records) -> Records:
 def difference_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
     """A row for each test: both kinds, then the p-value, in the recorded cities and in others."""
     same, other = result["tests"]["same"], result["tests"]["other"]
+
+    def shown(value: float) -> str:
+        return "-" if value is None or math.isnan(value) else f"{value:.3g}"
+
     return [
-        (name, f"{t['surrogate']:.4g}", *(f"{k[name]['full']:.4g}, p {k[name]['p']:.3f}" for k in (same, other)))
+        (name, shown(t["surrogate"]), *(f"{shown(k[name]['full'])}, p {k[name]['p']:.3f}" for k in (same, other)))
         for name, t in same.items()
     ]
