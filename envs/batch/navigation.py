@@ -294,7 +294,8 @@ class NavigationBatch:
         m["chord"][row, rows] = m["chord_before"][row, rows] = chord
         m["start"][row, rows], m["start_velocity"][row, rows] = before - passed * chord, chord / self.step_s
         m["start_heading_rad"][row, rows] = heading_rad
-        place_all(self.navigator, self.config, before, heading_rad, noise, row * self.vehicles + rows)
+        begun = m["start"][row, rows]  # the navigator goes on from there: it measures the whole epoch
+        place_all(self.navigator, self.config, begun, heading_rad, noise, row * self.vehicles + rows)
 
     # Steps
 

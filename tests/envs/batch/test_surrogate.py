@@ -230,3 +230,18 @@ def test_lies_of_those_without_receivers_are_refused() -> None:
     with pytest.raises(InputError, match=r"faults\.0\.vehicle must be 0 with perception\.others surrogate, got None"):
         env.reset(seed=1, options={"faults": [jamming]})
     env.reset(seed=1, options={"faults": [{**jamming, "vehicle": 0}]})
+
+
+def test_one_that_enters_knows_where_it_is() -> None:
+    """Its navigator begins where the epoch has begun in which it enters; a step later would be 0.45 m ahead."""
+    config = make_config(
+        "lanebound/Intersection-v0", {"sky": "open", "layouts": 1, "world": {"spawn_probability": 0.9}}
+    )
+    notes = Recorder(DrivingEnv(config), 4, recordings.AWAY_M).record([1, 2, 3, 4], 60)
+    key, said = notes["move"]["key"], notes["said"]
+    entered = (key[:, 1:] > 0) & (key[:, 1:] != key[:, :-1])
+    assert entered.sum() >= 6
+    for name, level in (("along_m", "pl_at_m"), ("across_m", "pl_ct_m")):
+        errors = np.abs(said[name][:, 1:][entered])
+        assert errors.max() < 0.25, name  # 5 sigma of the start
+        assert (errors < said[level][:, 1:][entered]).all()
