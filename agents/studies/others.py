@@ -132,7 +132,7 @@ def _marginals() -> dict[str, Any]:
             np.abs(n["said"]["across_m"]) / np.minimum(n["said"]["pl_ct_m"], NO_LEVEL_M)
         ),
     }
-    shares: dict[str, Callable[[Records], Array]] = {
+    shares: dict[str, Callable[[Records], Any]] = {
         "share of errors beyond a level": _beyond,
         "share of levels across over 1 m": lambda n: n["said"]["pl_ct_m"] > 1.0,
         "share of silent vehicles": lambda n: n["said"]["sends"] == 0,
@@ -141,7 +141,7 @@ def _marginals() -> dict[str, Any]:
     return of_all | {name: _share(of) for name, of in shares.items()}
 
 
-def _beyond(notes: Records) -> Array:
+def _beyond(notes: Records) -> Any:
     """Whether an error exceeds its level."""
     said = notes["said"]
     return np.asarray((np.abs(said["along_m"]) > said["pl_at_m"]) | (np.abs(said["across_m"]) > said["pl_ct_m"]))
@@ -171,7 +171,7 @@ def _marginal(quantity: Callable[[Records], Array]) -> Any:
     return test
 
 
-def _share(event: Callable[[Records], Array]) -> Any:
+def _share(event: Callable[[Records], Any]) -> Any:
     """The difference of two shares of the vehicles and epochs."""
 
     def test(full: Records, surrogate: Records, exchange: _Exchange) -> dict[str, float]:

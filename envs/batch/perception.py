@@ -157,7 +157,7 @@ class PerceptionBatch:
         p.slots["key"][e, s] = v
         p.slots["length_m"][e, s], p.slots["width_m"][e, s] = cars["length"][e, v], cars["width"][e, v]
         if self.recordings is not None:
-            who, recorded = self._speakers, len(self.recordings.count)
+            who, recorded = self._speakers, len(self.recordings.vehicles)
             who.episode[rows] = [int(named_generator(seed, "others").integers(recorded)) for seed in seeds]
             who.now[rows] = who.since[rows] = 0
             who.moves[rows] = np.zeros((), gk.MOVE)

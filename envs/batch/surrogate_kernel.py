@@ -53,13 +53,13 @@ class Recordings(NamedTuple):
     """What the vehicles of E recorded episodes have said.
 
     said (E, P, K) SAID: by epoch since the start of the episode, or since the vehicle has entered it; epochs (E, P): of
-    each vehicle; began (E,): vehicles at the start, which come first; count (E,): all vehicles; traits (1,) TRAITS.
+    each vehicle; began (E,): vehicles at the start, which come first; vehicles (E,): all of them; traits (1,) TRAITS.
     """
 
     said: Records
     epochs: NDArray[np.int64]
     began: NDArray[np.int64]
-    count: NDArray[np.int64]
+    vehicles: NDArray[np.int64]
     traits: Records
 
 
@@ -96,7 +96,7 @@ def recite_rows(first, last, rows, cars, egos, pictures, recordings, speakers, t
                 continue
             key, move = p.slots[e, slot].key, who.moves[e, slot]
             _follow(move, car, key, epoch_s)
-            place = _place(key - 1, who.began[e], r.began[k], r.count[k])
+            place = _place(key - 1, who.began[e], r.began[k], r.vehicles[k])
             epoch = _epoch(who.now[e] - who.since[e, slot], r.epochs[k, place])
             _say(p.spoken[e, slot], car, move, r.said[k, place, epoch], ago, r.traits[0])
 

@@ -185,7 +185,7 @@ def test_recordings_are_made_once_and_kept(
         first = recordings.recordings_of(config)
     assert "recording other vehicles" in caplog.text
     assert first.said.shape == (3, 1, 21)
-    assert (first.count == 1).all()
+    assert (first.vehicles == 1).all()
     assert (first.said["sends"] == 1).all()
     assert np.abs(first.said["across_m"]).max() < first.said["pl_ct_m"].max()
     caplog.clear()
