@@ -94,10 +94,10 @@ signals of all vehicles, under every sky; by default there is none ([signals](re
 | `truth` | true poses without delay |
 | `none` | no other vehicles |
 
-- `perception.others: surrogate` saves the navigators of others: each says its true pose and speed with the errors and
-  levels of a vehicle in one of 64 recorded episodes of the same configuration. The vector engine records them once (a
-  minute or more; they are stored next to the compiled kernels) in traffic without the ego. Vehicles share outages and
-  satellites among themselves, not with the ego. [Surrogates](results/surrogates.md) compares both.
+- `perception.others: surrogate` saves the navigators of others: the broadcast of each is its true pose and speed with
+  the errors and levels of a vehicle in one of 64 recorded episodes of the same configuration. The vector engine records
+  them once (a minute or more; they are stored next to the compiled kernels) in traffic without the ego. Vehicles share
+  outages and satellites among themselves, not with the ego. [Surrogates](results/surrogates.md) compares both.
 - Messages: 10 a second, delay 0.05 s plus an exponential delay of 0.03 s on average. A message over the distance d is
   received with the probability 0.95 (1 - (d / 300 m)^4).
 - Sensor errors (1 sigma): 0.2 m in distance, 0.3 degrees in bearing, 0.1 m/s in relative speed, 2 degrees in heading. A

@@ -1,8 +1,8 @@
 """Recorded episodes of a configuration: what the other vehicles broadcast when each navigates by itself.
 
 They are recorded once, by the vector engine, in the traffic of the configuration without its ego, and stored next to
-the compiled kernels. ``perception.others: surrogate`` lets the others speak with them. The recorded vehicles of an
-episode share atmosphere, reference station and outages, so those that speak do as well, though not with the ego.
+the compiled kernels. With ``perception.others: surrogate`` the broadcasts of other vehicles have their errors. The
+recorded vehicles of an episode share atmosphere, reference station and outages, and so do these, not with the ego.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = ["AWAY_M", "EPISODES", "SEED", "city_of", "epochs_of", "recordings_of"
 
 LOGGER = logging.getLogger("lanebound")
 EPISODES = 64  # recorded, in cities and at hours drawn as in any episode
-SEED = 2**31  # of the first recorded episode; those of drives are drawn elsewhere
+SEED = 2**31  # of the first recorded episode, beyond the seeds that users give
 AWAY_M = 20_000.0  # the ego stands there, beyond the end of a road
 ON_DISK = 40
 NOT_HEARD = (
@@ -168,14 +168,16 @@ def _take_traits(notes: Records, still_mps: float) -> Records:
     slopes = []
     for error, cause, some in (
         (said["speed_mps"], move["braking_mps2"], there & (speed >= still_mps)),
-        (said["turn_rad"], move["yaw_radps"], there & (speed > COURSE_FROM_MPS)),
+        (said["turn_rad"], move["yaw_radps"], there & (move["speed_mps"] > COURSE_FROM_MPS)),
     ):
         x, y = cause[some], error[some].astype(np.float64)
-        power = float(x @ x)
+        power, slope = float(x @ x), 0.0
         if power > 0.0:
-            y = np.clip(y, *np.quantile(y, (0.01, 0.99)))  # errors of outages do not decide
-        slopes.append(float(x @ y) / power if power > 0.0 else 0.0)
-        error[some] -= (slopes[-1] * x).astype(np.float32)
+            slope = float(x @ y) / power
+            rest = y - slope * x
+            slope += float(x @ np.clip(rest, *np.quantile(rest, (0.01, 0.99)))) / power  # outages do not decide
+        slopes.append(slope)
+        error[some] -= (slope * x).astype(np.float32)
     return one_record(TRAITS, still_mps=still_mps, speed_s=slopes[0], course_s=slopes[1])
 
 

@@ -226,7 +226,7 @@ def _require_effect(
 ) -> None:  # fmt: skip
     """Refuse faults that cannot act in an episode of ``duration_s`` [s]: a driver would seem robust against them.
 
-    ``alone``: the others speak without navigating.
+    ``alone``: the ego alone navigates, others have surrogates.
     """
     if navigation is None:
         raise InputError("options.faults must be left out where nothing navigates: set navigation.source to navigator")

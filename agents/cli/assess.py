@@ -215,7 +215,7 @@ def others(
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Can other vehicles that speak with recorded errors be told from those that navigate, in cities not recorded?
+    """Whether broadcasts of surrogates differ from those of vehicles that navigate, in recorded cities and others.
 
     Example: lanebound assess others Merge --out out/others --episodes 16
     """

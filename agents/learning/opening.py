@@ -68,7 +68,7 @@ def _in_engine(experiment: ExperimentConfig, count: int) -> VecEnv | None:
         return EngineVecEnv(full_id(experiment.env), count, experiment.env_overrides, statistics=True)
     except (ConfigError, InputError) as error:
         if experiment.engine:
-            if not isinstance(error, ConfigError):
+            if not isinstance(error, ConfigError):  # an id without an engine, not an option that the engine lacks
                 known = ", ".join(env_id.removeprefix("lanebound/").removesuffix("-v0") for env_id in engines())
                 raise ConfigError(
                     f"engine must be left out for {experiment.env}, got true: the vector engine supports {known}"

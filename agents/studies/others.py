@@ -1,4 +1,4 @@
-"""Whether other vehicles that speak with recorded errors can be told from those that navigate.
+"""Whether broadcasts with recorded errors can be told from those of vehicles that navigate.
 
 Both drive traffic of the same kind, without an ego. A p-value is the share of random exchanges between the two kinds
 in which they differ at least as much. In the recorded cities whole episodes are exchanged, whose vehicles share
@@ -92,7 +92,7 @@ def _seeds_in(cities: int, allowed: Container[int], count: int, seed: int) -> li
 
 
 def _of_each_recording(count: int, seed: int) -> tuple[list[int], list[int]]:
-    """Seeds of episodes in which the others speak as in different recorded ones, and these: none counts twice."""
+    """Seeds of episodes with the errors of different recorded ones, and these: none counts twice."""
     found: dict[int, int] = {}
     for one in range(seed * 10**6, (seed + 1) * 10**6):
         episode = int(seeding.np_random(one)[0].integers(EPISODE_SEEDS))
@@ -103,7 +103,7 @@ def _of_each_recording(count: int, seed: int) -> tuple[list[int], list[int]]:
 
 
 def _notes(env: EnvConfig, seeds: Sequence[int]) -> Records:
-    """What the others have said, (E, K, C) NOTE."""
+    """Broadcasts of the others and their errors, (E, K, C) NOTE."""
     single = DrivingEnv(env)
     return Recorder(single, len(seeds), AWAY_M).record(list(seeds), epochs_of(env, single.world))
 

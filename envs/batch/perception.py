@@ -42,7 +42,7 @@ class PerceptionBatch:
     count, capacity : N egos, and C slots of others that each may perceive
     vehicles : V that an environment may have, the ego included
     epoch_s : length of an epoch
-    recordings : with whose errors the others speak, None where they navigate
+    recordings : whose errors the broadcasts of the others have, None where they navigate
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class PerceptionBatch:
         spoken = heard if self.recordings is not None else 0
         one, every = np.zeros((3, n), dtype=np.int64), np.zeros((n, spoken), dtype=np.int64)
         moves = np.zeros((n, spoken), gk.MOVE)
-        self._speakers = gk.Speakers(episode=one[0], now=one[1], since=every, began=one[2], moves=moves)
+        self._stand_ins = gk.StandIns(episode=one[0], now=one[1], since=every, began=one[2], moves=moves)
         radio = pk.Radio(
             np.zeros((n, late, heard), pk.SIGHTING),
             np.full((n, late, heard), -1, dtype=np.int64),
@@ -126,7 +126,7 @@ class PerceptionBatch:
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """Those that have a row for each environment."""
         p = self.pictures
-        return p.picture, p.perceived, p.tracks, p.slots, *p.radio, self._there, *self._speakers
+        return p.picture, p.perceived, p.tracks, p.slots, *p.radio, self._there, *self._stand_ins
 
     def begin(self, rows: Rows, seeds: Sequence[int], there: Flags, cars: Records) -> None:
         """Start radios without messages and sensors without tracks, with the seeds of the episodes.
@@ -157,11 +157,11 @@ class PerceptionBatch:
         p.slots["key"][e, s] = v
         p.slots["length_m"][e, s], p.slots["width_m"][e, s] = cars["length"][e, v], cars["width"][e, v]
         if self.recordings is not None:
-            who, recorded = self._speakers, len(self.recordings.vehicles)
-            who.episode[rows] = [int(named_generator(seed, "others").integers(recorded)) for seed in seeds]
-            who.now[rows] = who.since[rows] = 0
-            who.moves[rows] = np.zeros((), gk.MOVE)
-            who.began[rows] = (slot >= 0).sum(axis=1)
+            own, recorded = self._stand_ins, len(self.recordings.vehicles)
+            own.episode[rows] = [int(named_generator(seed, "others").integers(recorded)) for seed in seeds]
+            own.now[rows] = own.since[rows] = 0
+            own.moves[rows] = np.zeros((), gk.MOVE)
+            own.began[rows] = (slot >= 0).sum(axis=1)
 
     def adopt(self, rows: Rows, other: PerceptionBatch, theirs: Rows) -> None:
         """Go on in ``rows`` with the draws of the egos ``theirs`` of another batch, whose arrays have been copied."""
@@ -184,7 +184,7 @@ class PerceptionBatch:
         pk.forget_slot(p.radio, p.tracks, row, slot)
         p.slots[row, slot] = key, length_m, width_m
         if self.recordings is not None:
-            self._speakers.since[row, slot] = self._speakers.now[row] + 1
+            self._stand_ins.since[row, slot] = self._stand_ins.now[row] + 1
 
     def perceive(
         self, rows: Rows, at: Rows, time_s: Array, fixes: Records | None, cars: Records, egos: Records,
@@ -207,7 +207,7 @@ class PerceptionBatch:
                 if recordings is None:
                     rk.claim_rows(first, last, rows, at, fixes, p)
                 else:
-                    gk.recite_rows(first, last, rows, cars, egos, p, recordings, self._speakers, time_s)
+                    gk.stand_in_rows(first, last, rows, cars, egos, p, recordings, self._stand_ins, time_s)
                 rk.hear_rows(first, last, rows, cars, egos, p, time_s, heard, lies)
             if seen is not None:
                 rk.look_rows(first, last, rows, cars, egos, p.picture, p.tracks, p.of_sensor, seen)

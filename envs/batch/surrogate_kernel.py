@@ -1,10 +1,10 @@
-"""Other vehicles that speak with recorded errors: what a receiver of their own has said in a recorded episode.
+"""Broadcasts of other vehicles with recorded errors, in place of a navigator for each.
 
-A recorded episode holds, for each vehicle and epoch, the error of what it broadcast and its levels (SAID). A vehicle
-that speaks with them says its own true position, course and speed plus that error. Errors along and across are along
-its true heading and to the right of it. Courses and speeds are those of the epoch: the course contains the side slip of
-a turn, and the speed is its mean, as the wheels count it. What their errors have in common with yaw rate and braking,
-such as the lag of an epoch, is a figure of the recordings (TRAITS), and SAID holds the rest.
+A recorded episode holds, for each vehicle and epoch, the error of what its navigator broadcast and its levels (SAID). A
+broadcast with them is the true position, course and speed of another vehicle plus that error. Errors along and across
+are along the true heading and to the right of it. Courses and speeds are those of the epoch: the course contains the
+side slip of a turn, and the speed is its mean, as the wheels count it. What their errors have in common with yaw rate
+and braking, such as the lag of an epoch, is a figure of the recordings (TRAITS), and SAID holds the rest.
 """
 
 from __future__ import annotations
@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from lanebound.envs.batch.perception_kernel import COURSE_FROM_MPS
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.positioning.filters.odometry_kernel import rolling_slip
 
-__all__ = ["MOVE", "NOTE", "SAID", "TRAITS", "Recordings", "Speakers", "note", "recite_rows"]
-
-MOST_SLIP = 0.9  # sine, of a car at full lock 0.65
+__all__ = ["MOVE", "NOTE", "SAID", "TRAITS", "Recordings", "StandIns", "note", "stand_in_rows"]
 
 SAID = record(
     along_m=("f4", "error along the true heading"),
@@ -46,11 +45,11 @@ TRAITS = record(
     speed_s="error of the speed by a deceleration [m/s by m/s^2]",
     course_s="error of the course by a yaw rate [rad by rad/s]",
 )
-NOTE = record(said=(SAID, "what a vehicle says"), move=(MOVE, "how it moves"))
+NOTE = record(said=(SAID, "what a vehicle broadcasts"), move=(MOVE, "how it moves"))
 
 
 class Recordings(NamedTuple):
-    """What the vehicles of E recorded episodes have said.
+    """Broadcasts of the vehicles of E recorded episodes.
 
     said (E, P, K) SAID: by epoch since the start of the episode, or since the vehicle has entered it; epochs (E, P): of
     each vehicle; began (E,): vehicles at the start, which come first; vehicles (E,): all of them; traits (1,) TRAITS.
@@ -63,8 +62,8 @@ class Recordings(NamedTuple):
     traits: Records
 
 
-class Speakers(NamedTuple):
-    """Who speaks in N environments with C slots.
+class StandIns(NamedTuple):
+    """The recorded vehicles that stand in for those of N environments with C slots.
 
     episode (N,): the recorded one; now (N,): epochs since the start; since (N, C): epoch in which the vehicle of a slot
     has entered; began (N,): vehicles at the start; moves (N, C) MOVE.
@@ -78,27 +77,27 @@ class Speakers(NamedTuple):
 
 
 @jit(borrows=True)
-def recite_rows(first, last, rows, cars, egos, pictures, recordings, speakers, time):  # type: ignore[no-untyped-def]
+def stand_in_rows(first, last, rows, cars, egos, pictures, recordings, stand_ins, time):  # type: ignore[no-untyped-def]
     """Fill what the vehicles of environments broadcast at ``time`` (n,) of their episodes.
 
-    Before an episode they are on a straight approach. The n-th vehicle of an episode speaks as the n-th of the recorded
-    one, those that have entered as others that have.
+    Before an episode they are on a straight approach. The n-th vehicle of an episode has the errors of the n-th of the
+    recorded one, those that have entered of others that have.
     """
-    r, who, p = recordings, speakers, pictures
+    r, own, p = recordings, stand_ins, pictures
     epoch_s = p.of_radio[0].epoch_s
     for n in range(first, last):
         e = rows[n]
-        k, ago = who.episode[e], min(time[n], 0.0)
-        who.now[e] = max(round(time[n] / epoch_s), 0)
+        k, ago = own.episode[e], min(time[n], 0.0)
+        own.now[e] = max(round(time[n] / epoch_s), 0)
         for v in range(1, egos[e].vehicles):
             car, slot = cars[e, v], cars[e, v].slot
             if slot < 0 or slot >= p.spoken.shape[1]:
                 continue
-            key, move = p.slots[e, slot].key, who.moves[e, slot]
+            key, move = p.slots[e, slot].key, own.moves[e, slot]
             _follow(move, car, key, epoch_s)
-            place = _place(key - 1, who.began[e], r.began[k], r.vehicles[k])
-            epoch = _epoch(who.now[e] - who.since[e, slot], r.epochs[k, place])
-            _say(p.spoken[e, slot], car, move, r.said[k, place, epoch], ago, r.traits[0])
+            place = _place(key - 1, own.began[e], r.began[k], r.vehicles[k])
+            epoch = _epoch(own.now[e] - own.since[e, slot], r.epochs[k, place])
+            _fill_claim(p.spoken[e, slot], car, move, r.said[k, place, epoch], ago, r.traits[0])
 
 
 @jit(inline=True)
@@ -110,9 +109,8 @@ def _follow(move, car, key, epoch_s):  # type: ignore[no-untyped-def]
     move.yaw_radps = (turn - 2.0 * math.pi * round(turn / (2.0 * math.pi))) / epoch_s
     move.speed_mps, move.braking_mps2 = 0.5 * (car.speed + move.last_mps), (move.last_mps - car.speed) / epoch_s
     move.course_rad = car.heading
-    if abs(car.speed) > COURSE_FROM_MPS:  # the middle of the car moves sideways in a turn, the rear axle does not
-        slip = 0.5 * car.length * move.yaw_radps / car.speed
-        move.course_rad += math.asin(min(max(slip, -MOST_SLIP), MOST_SLIP))
+    if car.speed > COURSE_FROM_MPS:  # where a receiver's course is broadcast, see claim()
+        move.course_rad += rolling_slip(0.5 * car.length, move.yaw_radps, car.speed)
     move.heading_rad, move.last_mps = car.heading, car.speed
 
 
@@ -138,14 +136,14 @@ def _epoch(age, epochs):  # type: ignore[no-untyped-def]
 
 
 @jit(inline=True)
-def _say(c, car, move, said, ago_s, traits):  # type: ignore[no-untyped-def]
+def _fill_claim(c, car, move, said, ago_s, traits):  # type: ignore[no-untyped-def]
     """Fill a CLAIM of a true vehicle, ``ago_s`` <= 0 before it is where it is; wheels at rest show no error."""
     cos, sin = math.cos(car.heading), math.sin(car.heading)
     along = said.along_m + car.speed * ago_s
     c.x_m = car.x + along * cos - said.across_m * sin
     c.y_m = car.y + along * sin + said.across_m * cos
     c.heading_rad, c.speed_mps = move.course_rad + said.turn_rad, 0.0
-    if abs(car.speed) > COURSE_FROM_MPS:
+    if car.speed > COURSE_FROM_MPS:
         c.heading_rad += traits.course_s * move.yaw_radps
     if abs(move.speed_mps) >= traits.still_mps:
         c.speed_mps = move.speed_mps + said.speed_mps + traits.speed_s * move.braking_mps2
@@ -154,7 +152,7 @@ def _say(c, car, move, said, ago_s, traits):  # type: ignore[no-untyped-def]
 
 @jit
 def note(rows, cars, egos, pictures, notes):  # type: ignore[no-untyped-def]
-    """Note what the vehicles of environments ``rows`` say now, with its errors: notes (N, C) NOTE of the last epoch."""
+    """Note the errors of what vehicles of environments ``rows`` broadcast now: notes (N, C) NOTE of the last epoch."""
     for e in rows:
         there = np.zeros(notes.shape[1], np.bool_)
         for v in range(1, egos[e].vehicles):

@@ -17,9 +17,9 @@ __all__ = ["Recorder"]
 
 
 class Recorder(Engine):
-    """An engine that notes what its vehicles say.
+    """An engine that notes the errors of what its vehicles broadcast.
 
-    Each ego stands ``away_m`` beyond the end of a road, on none of the lanes: no driver heeds it.
+    Each ego is put ``away_m`` beyond the end of a road, on none of the lanes, where it concerns no other vehicle.
 
     Parameters
     ----------

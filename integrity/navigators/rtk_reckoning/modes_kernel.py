@@ -16,8 +16,8 @@ from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_b
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Array, Epoch
 from lanebound.integrity.positioning.codes_kernel import DOPPLER, IMU_ODOMETER, NONE, UNDECIDED
 
-CREEPING_MPS = 1.0  # slower, the side slip moves the position as much as the path does
-SIGMAS = 5.0  # of the yaw rate in that bound
+CREEPING_MPS = 1.0  # slower, levels count what the side slip adds to the error; chosen
+SIGMAS = 5.0  # of the yaw rate in that bound; beyond the factor of a level at 1e-5 (4.6)
 
 __all__ = ["advance_doppler", "advance_imu_odometer", "advance_nothing", "doppler_is_tighter", "move", "stand"]
 
@@ -92,10 +92,11 @@ def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
 
 @jit
 def _slip_bound(heading: Any, par: Any, speed: float, turning: float) -> float:
-    """Bound of what an error of the yaw rate moves the reference point sideways in an epoch of creeping [m].
+    """Bound of how far an error of the yaw rate moves the reference point sideways in an epoch of creeping [m].
 
-    The growth of the error of the heading over the path covers it in faster drives: there it is at least as large.
+    ``axle`` times the error of the yaw rate, added up over epochs as if it always had one sign.
     """
+    # Faster cars: the error of the heading over the path, which levels count, outgrows this within a length of the car.
     if abs(speed) > CREEPING_MPS:
         return 0.0
     return float(par.dt * par.lever.axle * SIGMAS * math.sqrt(heading.p_bb + heading.p_ss * turning * turning))

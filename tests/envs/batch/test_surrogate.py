@@ -1,9 +1,8 @@
-"""Other vehicles that speak with recorded errors: what is recorded comes back, and who speaks as whom."""
+"""Broadcasts with recorded errors: what is recorded comes back, and which vehicle has the errors of which."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from numpy.testing import assert_allclose
 from lanebound.envs import recordings
 from lanebound.envs.batch.perception import PerceptionBatch
 from lanebound.envs.batch.records_kernel import CAR, EGO
-from lanebound.envs.batch.surrogate_kernel import NOTE, SAID, TRAITS, Recordings, note, recite_rows
+from lanebound.envs.batch.surrogate_kernel import NOTE, SAID, TRAITS, Recordings, note, stand_in_rows
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.perception import PerceptionConfig
@@ -25,8 +24,9 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.records import one_record
 
 EPOCHS, CREW = 6, 3
+pytestmark = pytest.mark.usefixtures("few_recordings")
 FEW: dict[str, Any] = {"sky": "open", "layouts": 1, "duration_s": 2.0, "perception": {"others": "surrogate"}}
-RNG = np.random.default_rng(3)
+RNG = np.random.default_rng(3)  # of poses and errors on which no result depends
 TRAIT = one_record(TRAITS, still_mps=0.15, speed_s=0.02, course_s=0.03)
 
 
@@ -54,8 +54,8 @@ def _street(given: Recordings, seed: int = 5) -> tuple[PerceptionBatch, Any, Any
 def _recite(batch: PerceptionBatch, cars: Any, egos: Any, time_s: float) -> Any:
     rows, p = np.zeros(1, np.int64), batch.pictures
     notes = np.zeros((1, CREW), NOTE)
-    notes["move"] = batch._speakers.moves
-    recite_rows(0, 1, rows, cars, egos, p, batch.recordings, batch._speakers, np.array([time_s]))
+    notes["move"] = batch._stand_ins.moves
+    stand_in_rows(0, 1, rows, cars, egos, p, batch.recordings, batch._stand_ins, np.array([time_s]))
     note(rows, cars, egos, p, notes)
     return notes[0]
 
@@ -65,7 +65,7 @@ def test_what_is_said_has_the_recorded_errors_whatever_the_pose(epoch: int) -> N
     given = _recordings()
     batch, cars, egos = _street(given)
     heard = _recite(batch, cars, egos, 0.1 * epoch)
-    chosen = given.said[batch._speakers.episode[0], :, epoch]
+    chosen = given.said[batch._stand_ins.episode[0], :, epoch]
     for name in SAID.names or ():
         assert_allclose(heard["said"][name], chosen[name], rtol=1e-4, atol=1e-6, err_msg=name)
 
@@ -83,7 +83,7 @@ def test_one_that_stays_longer_goes_back_and_forth() -> None:
     batch, cars, egos = _street(given)
     errors = [float(_recite(batch, cars, egos, 0.1 * k)["said"]["across_m"][0]) for k in range(3 * EPOCHS)]
     order = [0, 1, 2, 3, 4, 5, 4, 3, 2, 1, 0, 1, 2, 3, 4, 5, 4, 3]
-    assert_allclose(errors, given.said["across_m"][batch._speakers.episode[0], 0, order], rtol=1e-4)
+    assert_allclose(errors, given.said["across_m"][batch._stand_ins.episode[0], 0, order], rtol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_one_that_stays_longer_goes_back_and_forth() -> None:
         (0, 2, (1, 2, 4), (0, 1, 0)),  # none was there
     ],
 )
-def test_who_speaks_as_whom(began: int, count: int, keys: Any, expected: Any) -> None:
+def test_which_recorded_vehicle_stands_in(began: int, count: int, keys: Any, expected: Any) -> None:
     given = _recordings(1, began, count)
     batch, cars, egos = _street(given)
     batch.pictures.slots["key"][0, :CREW] = keys
@@ -109,10 +109,10 @@ def test_in_a_turn_the_course_is_said_and_at_rest_no_speed() -> None:
     _recite(batch, cars, egos, 0.0)
     cars["heading"][0, 1:] += (0.05, 0.0, 0.0)  # 0.5 rad/s
     cars["speed"][0, 1:] = 10.0, 0.0, 10.0
-    batch._speakers.moves["last_mps"][0] = 10.0, 0.0, 12.0
+    batch._stand_ins.moves["last_mps"][0] = 10.0, 0.0, 12.0
     cars["length"][0, 1:] = 5.0
     _recite(batch, cars, egos, 0.1)
-    said, claims = given.said[batch._speakers.episode[0], :, 1], batch.pictures.spoken[0]
+    said, claims = given.said[batch._stand_ins.episode[0], :, 1], batch.pictures.spoken[0]
     slip = claims["heading_rad"] - cars["heading"][0, 1:] - said["turn_rad"]
     assert_allclose(slip, [np.arcsin(2.5 * 0.5 / 10.0) + 0.03 * 0.5, 0.0, 0.0], atol=1e-6)
     speeds = [10.0 + said["speed_mps"][0], 0.0, 11.0 + said["speed_mps"][2] + 0.02 * 20.0]
@@ -120,11 +120,11 @@ def test_in_a_turn_the_course_is_said_and_at_rest_no_speed() -> None:
 
 
 def test_what_errors_have_in_common_with_motion_is_taken_out() -> None:
-    notes = np.zeros((4, 200, 2), NOTE)
+    notes, rng = np.zeros((4, 200, 2), NOTE), np.random.default_rng(7)
     notes["move"]["key"], notes["move"]["speed_mps"] = 1, 8.0
     for name in ("yaw_radps", "braking_mps2"):
-        notes["move"][name] = RNG.normal(0.0, 1.0, notes.shape)
-    rest = RNG.normal(0.0, 0.01, (2, *notes.shape))
+        notes["move"][name] = rng.normal(0.0, 1.0, notes.shape)
+    rest = rng.normal(0.0, 0.01, (2, *notes.shape))
     notes["said"]["speed_mps"] = 0.05 * notes["move"]["braking_mps2"] + rest[0]
     notes["said"]["turn_rad"] = -0.04 * notes["move"]["yaw_radps"] + rest[1]
     traits = recordings._take_traits(notes, 0.15)[0]
@@ -133,7 +133,7 @@ def test_what_errors_have_in_common_with_motion_is_taken_out() -> None:
     assert_allclose(notes["said"]["turn_rad"], rest[1], atol=0.006)
 
 
-def test_nobody_heeds_the_ego_of_a_recording() -> None:
+def test_the_ego_of_a_recording_does_not_matter() -> None:
     """In Intersection one that seems to stand inside keeps the others from entering."""
     config = make_config("lanebound/Intersection-v0", {"sky": "open", "layouts": 1, "duration_s": 6.0})
     driven = []
@@ -170,7 +170,7 @@ def test_one_that_enters_begins_at_the_beginning() -> None:
 def test_episodes_are_drawn_evenly() -> None:
     given, seen = _recordings(4), np.zeros(4)
     for seed in range(200):
-        seen[_street(given, seed)[0]._speakers.episode[0]] += 1
+        seen[_street(given, seed)[0]._stand_ins.episode[0]] += 1
     assert (np.abs(seen - 50.0) < 25.0).all()  # 4 sigma: false alarm 2.5e-4
 
 
@@ -206,18 +206,6 @@ def test_what_a_surrogate_cannot_do_is_refused() -> None:
         EnvConfig.build({"base": "highway-v0"}, {"faults": "nominal", "perception": {"others": "surrogate"}})
     with pytest.raises(ConfigError, match=r"perception\.others must be 'full' with base 'merge-generic-v1'"):
         DrivingEnv(EnvConfig.build({"base": "merge-generic-v1"}, {"perception": {"others": "surrogate"}}))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _few_recordings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A few recorded episodes, kept apart from those of the user."""
-    folder = tmp_path_factory.mktemp("recordings")
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(recordings, "EPISODES", 3)
-        patched.setattr(recordings, "cache_root", lambda: folder)
-        recordings._recordings.cache_clear()
-        yield
-    recordings._recordings.cache_clear()
 
 
 def test_lies_of_those_without_receivers_are_refused() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from recorded_skies import wall_on_the_left
 
-from lanebound.envs import recordings
 from lanebound.envs.batch.navigation import NavigationBatch
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
@@ -19,6 +17,7 @@ from lanebound.envs.vector.engine import Engine
 from lanebound.integrity.core.errors import ConfigError
 from side_by_side import Pairs, Tally, require_equal
 
+pytestmark = pytest.mark.usefixtures("few_recordings")
 FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
 CITY: dict[str, Any] = {
     "world": {"vehicles_count": 6, "spread": [-60.0, 90.0]},
@@ -58,18 +57,6 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("UrbanCanyon", {**CITY, **SURROGATE, "perception": {"source": "both", "others": "surrogate"}}, 6),
     ("Intersection", {"sky": "open", "layouts": 1, **SURROGATE}, 8),
 ]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _few_recordings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Four recorded episodes are enough to compare; they are kept apart from those of the user."""
-    folder = tmp_path_factory.mktemp("recordings")
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(recordings, "EPISODES", 4)
-        patched.setattr(recordings, "cache_root", lambda: folder)
-        recordings._recordings.cache_clear()
-        yield
-    recordings._recordings.cache_clear()
 
 
 @pytest.mark.parametrize(("name", "config", "steps"), CASES)
