@@ -66,7 +66,12 @@ def hdop_of(rows: Records) -> float:
 
     rows (S,) of :data:`~lanebound.integrity.positioning.rows_kernel.ROW`, groups below MAX_GROUPS.
     """
-    mean = np.zeros((MAX_GROUPS, 4))
+    return _hdop(rows, np.zeros((MAX_GROUPS, 4)))
+
+
+@jit(borrows=True)
+def _hdop(rows: Records, mean: Array) -> float:
+    """:func:`hdop_of`; mean (MAX_GROUPS, 4) of zeros is scratch."""
     for s in range(rows.shape[0]):
         if rows[s].used:
             row, e = mean[rows[s].group], rows[s].e

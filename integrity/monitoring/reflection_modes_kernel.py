@@ -61,7 +61,7 @@ def add_reflection_modes(
     has a threshold for it. Returns the number of modes, the prior of single faults without a solution, and the
     probability of two or more faults that no mode covers; 1 when too many sets would be needed.
     """
-    removed = np.empty(n, np.bool_)
+    removed = modes.removed[:n]
     lost, constellations = 0.0, 0.0
     for k in range(1, count):
         if k > n:

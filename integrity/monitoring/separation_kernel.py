@@ -62,7 +62,8 @@ class Modes(NamedTuple):
     fault-free solution; bias (2, W) bound of its nominal bias; separation (2, W) ``x - x_i`` [m]; prior, log_prior (W,)
     fault probability; weight (W,) the prior of the modes with a solution, 0 of the others; k_fa (W,) the normalised
     separation that passes the fault test, filled by :func:`set_factors`; offset (2, W) ``K_fa sigma_d + b`` and
-    rate (2, W) ``1 / sigma``, filled by :mod:`.protection_kernel`.
+    rate (2, W) ``1 / sigma``, filled by :mod:`.protection_kernel`; removed (W,) and rows (3, W): scratch, which
+    satellites a mode removes and the design rows of the others.
     """
 
     sigma: Array
@@ -75,6 +76,8 @@ class Modes(NamedTuple):
     offset: Array
     rate: Array
     k_fa: Array
+    removed: Bools
+    rows: Array
 
 
 class Moments(NamedTuple):
@@ -99,7 +102,7 @@ def mode_scratch(n: int, subsets: int = 0) -> Modes:
     w = capacity(n, subsets)
     return Modes(
         np.zeros((2, w)), np.zeros((2, w)), np.zeros((2, w)), np.zeros((2, w)), np.zeros(w), np.zeros(w), np.zeros(w),
-        np.zeros((2, w)), np.zeros((2, w)), np.zeros(w),
+        np.zeros((2, w)), np.zeros((2, w)), np.zeros(w), np.zeros(w, dtype=np.bool_), np.zeros((3, w)),
     )  # fmt: skip
 
 
@@ -112,7 +115,7 @@ def moment_scratch(n: int) -> Moments:
     )
 
 
-@jit(forceinline=True)
+@jit(borrows=True, forceinline=True)
 def find_modes(
     group: Ints, accuracy: Array, n: int, sin_h: float, cos_h: float, constellations: bool, published: bool,
     geo: Geometry, moments: Moments, modes: Modes,
@@ -150,7 +153,8 @@ def find_modes(
     if constellations:
         for g in range(MAX_GROUPS):
             if geo.clocks[g].satellites > 0.0:
-                _remove_subset(count, group[:n] == g, group, moments.accuracy, n, sin_h, cos_h, geo, modes)
+                _mark_group(g, group, n, modes.removed)
+                _remove_subset(count, modes.removed, group, moments.accuracy, n, sin_h, cos_h, geo, modes)
                 count += 1
     if published:
         _replace_biases(group, n, count, sin_h, cos_h, geo, moments, modes)
@@ -285,6 +289,12 @@ def _bound_biases(group: Ints, n: int, geo: Geometry, moments: Moments, bias: Ar
 
 
 @jit(borrows=True)
+def _mark_group(g: int, group: Ints, n: int, removed: Bools) -> None:
+    for i in range(n):
+        removed[i] = group[i] == g
+
+
+@jit(borrows=True)
 def _solve_without(removed: Bools, group: Ints, n: int, geo: Geometry, rows: Array) -> Any:
     """Whether the satellites outside a subset give a position, and the upper triangle of its covariance.
 
@@ -327,13 +337,13 @@ def _solve_without(removed: Bools, group: Ints, n: int, geo: Geometry, rows: Arr
     return invert_upper(a, b, c, d, e, f)
 
 
-@jit
+@jit(borrows=True)
 def _remove_subset(
     column: int, removed: Bools, group: Ints, accuracy: Array, n: int, sin_h: float, cos_h: float, geo: Geometry,
     modes: Modes,
 ) -> None:  # fmt: skip
     """The mode that removes any subset of the satellites: a constellation, a pair."""
-    rows, gain, weight = np.empty((3, n)), geo.gain, geo.weight
+    rows, gain, weight = modes.rows, geo.gain, geo.weight
     ok, ee, en, eu, nn, nu, _ = _solve_without(removed, group, n, geo, rows)
     if not ok:
         _mark_unsolvable(column, modes)
@@ -386,12 +396,13 @@ def _replace_biases(
             alone = clocks[group[k]].satellites == 1.0
             drop = 0.0 if alone else weight[k] / geo.free[k] * (bias[k] - level)
             _write_bias(k + 1, e - drop * lever[0, k], north - drop * lever[1, k], sin_h, cos_h, modes.bias)
-    g, rows = -1, np.empty((3, n))
+    g, rows = -1, modes.rows
     for column in range(n + 1, count):
         g += 1
         while clocks[g].satellites == 0.0:
             g += 1
-        ok, ee, en, eu, nn, nu, _ = _solve_without(group[:n] == g, group, n, geo, rows)
+        _mark_group(g, group, n, modes.removed)
+        ok, ee, en, eu, nn, nu, _ = _solve_without(modes.removed, group, n, geo, rows)
         if ok:
             x, y, z = 0.0, 0.0, 0.0
             for j in range(n):

@@ -262,7 +262,7 @@ def is_reference(s: int, floats: Floats) -> bool:
     return True
 
 
-@jit
+@jit(borrows=True)
 def choose(
     carriers: Carriers, floats: Floats, ambiguities: Records, rules: Any, limit: float, scratch: SearchScratch,
     chosen: Bools,

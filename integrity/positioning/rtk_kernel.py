@@ -390,22 +390,22 @@ def held_risk(ambiguities: Records) -> float:
     return total
 
 
-@jit
+@jit(borrows=True)
 def drop_small_systems(member: Bools, satellites: Records, minimum: int) -> tuple[int, int]:
     """Leave out systems with fewer than ``minimum`` members; returns the number of satellites and of systems left.
 
     Further signals of satellites stay, and do not count.
     """
-    count = np.zeros(MAX_GROUPS, dtype=np.int64)
-    for s in range(member.shape[0]):
-        if member[s] and not satellites[s].further:
-            count[satellites[s].system] += 1
     members, systems = 0, 0
     for c in range(MAX_GROUPS):
-        if count[c] >= minimum:
-            members += count[c]
+        count = 0
+        for s in range(member.shape[0]):
+            count += member[s] and not satellites[s].further and satellites[s].system == c
+        if count >= minimum:
+            members += count
             systems += 1
-    for s in range(member.shape[0]):
-        if member[s] and not satellites[s].further and count[satellites[s].system] < minimum:
-            member[s] = False
+            continue
+        for s in range(member.shape[0]):
+            if not satellites[s].further and satellites[s].system == c:
+                member[s] = False
     return members, systems

@@ -128,7 +128,14 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
             fixed.satellites, positioned = find_members(ambiguities, marks, satellites, rules, rows)
             if positioned:
                 fixed.coded = False  # its position gives way to that of the phases
-                _solve_fixed(carriers, rows, ambiguities, epoch.observed[v].age, tables, par, vehicle, w, scratch)
+                _fill_phases(carriers, ambiguities, epoch.observed[v].age, rules, rows, scratch)
+                outcome, _, _, _, fixed.excluded = detect_and_exclude(
+                    rows, vehicle.heading.angle, tables.thresholds, par.fde, scratch.position, scratch.covariance
+                )
+                if _is_accepted(outcome, ambiguities, rules, vehicle.rtk, fixed) and _solve_fixed(
+                    factor, rows, ambiguities, rules, w, scratch
+                ):
+                    fixed.status, fixed.hdop = FIXED, hdop_of(rows)
             elif fixed.status == FIXED:
                 fixed.status = TOO_FEW
         fixed.wrong = held_risk(ambiguities)
@@ -144,42 +151,48 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
                 levels[r, 1] += lever_ct
 
 
-@jit(inline=True)
-def _solve_fixed(
-    carriers: Carriers, rows: Records, ambiguities: Records, age: float, tables: Tables, par: Any, vehicle: Any,
-    w: Any, scratch: FixedScratch,
-) -> None:  # fmt: skip
-    """Test the rows in use, release the integers of what is excluded, and solve with the rest.
-
-    ``carriers.variance`` holds the variance factors.
-    """
-    rules, rtk, fixed, factor, n_sat = par.rtk, vehicle.rtk, w.fixed, carriers.variance, rows.shape[0]
-    tried, air = scratch.tried, scratch.air
+@jit(borrows=True)
+def _fill_phases(
+    carriers: Carriers, ambiguities: Records, age: float, rules: Any, rows: Records, scratch: FixedScratch
+) -> None:
+    """The rows of the phases, their variances, and which are tried; ``carriers.variance`` holds variance factors."""
+    factor, tried, air = carriers.variance, scratch.tried, scratch.air
     aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
     collapse_phase(carriers, ambiguities, rules.bands, rows)
-    for s in range(n_sat):
+    for s in range(rows.shape[0]):
         row = rows[s]
         tried[s] = row.used
         row.y -= range_of(carriers.signals[s].integer_error, carriers.satellites[s], rules.bands)
         air[s] = aged + atmosphere_variance(row.e[2], carriers.satellites[s], rules)
         row.variance = factor[s] * (rules.sigma_phase**2 / rules.bands) + air[s]
-    outcome, _, _, _, fixed.excluded = detect_and_exclude(
-        rows, vehicle.heading.angle, tables.thresholds, par.fde, scratch.position, scratch.covariance
-    )
+
+
+@jit(borrows=True)
+def _is_accepted(outcome: int, ambiguities: Records, rules: Any, rtk: Any, fixed: Any) -> bool:
+    """Whether the fault test leaves rows to solve with; after several failures in a row all integers are released."""
     if outcome == UNRESOLVED:
         rtk.rejected += 1
         if rtk.rejected >= rules.hold_failures:
-            for s in range(n_sat):
+            for s in range(ambiguities.shape[0]):
                 ambiguities[s].held = False
             rtk.rejected = 0
         fixed.status = FAULT
-        return
+        return False
     rtk.rejected = 0
     if outcome > EXCLUDED:
         fixed.status = TOO_FEW
-        return
+        return False
+    return True
+
+
+@jit(borrows=True)
+def _solve_fixed(
+    factor: Array, rows: Records, ambiguities: Records, rules: Any, w: Any, scratch: FixedScratch
+) -> bool:  # fmt: skip
+    """Release the integers of what has been excluded and solve with the rest; factor (S,) of the variances."""
+    fixed, tried, air = w.fixed, scratch.tried, scratch.air
     n, nominal, los, group = 0, rules.sigma_phase_integrity**2, scratch.los, scratch.group
-    for s in range(n_sat):
+    for s in range(rows.shape[0]):
         row = rows[s]
         if tried[s] and not row.used:
             ambiguities[s].held = False
@@ -192,14 +205,14 @@ def _solve_fixed(
     geo = scratch.geo
     if find_geometry(los, group, scratch.variance, scratch.bias, n, w.sin_h, w.cos_h, geo) != SOLVED:
         fixed.status = TOO_FEW
-        return
+        return False
     solve(scratch.y, group, n, geo)
     fix = geo.fix[0]
     for k in range(3):
         fixed.position[k] = fix.position[k]
     fixed.p_ee, fixed.p_en, fixed.p_nn = fix.p_ee, fix.p_en, fix.p_nn
     fixed.sigma[0], fixed.sigma[1] = fix.sigma[0], fix.sigma[1]
-    fixed.status, fixed.hdop = FIXED, hdop_of(rows)
+    return True
 
 
 @jit

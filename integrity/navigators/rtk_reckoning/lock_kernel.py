@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.positioning.reflection_odds_kernel import keep_trusted, update_odds
 from lanebound.integrity.positioning.rtk_kernel import UNUSED, Carriers, is_strong, leave_out_faded
@@ -22,15 +25,7 @@ def follow_carriers(first: int, last: int, epoch: Epoch) -> None:
     for v in range(first, last):
         vehicle, w, signals, marks = epoch.vehicles[v], epoch.work[v], epoch.signals[v], epoch.marks[v]
         ambiguities = epoch.ambiguities[v]
-        for s in range(n):
-            signal, mark = signals[s], marks[s]
-            mark.phase_ok = signal.tracked and signal.phase[0] != 0.0 and (rules.bands == 1 or signal.phase[1] != 0.0)
-            # A carrier that was lost comes back with other integers.
-            if not mark.phase_ok or signal.lock_lost:
-                ambiguities[s].held = False
-            mark.used = is_strong(signal, rules.sin_mask, rules.cn0_min)
-            mark.factor = mark.quality if mark.used else UNUSED
-        leave_out_faded(signals, rules, par.dt, marks, ambiguities)
+        _find_locked(signals, rules, par.dt, marks, ambiguities)
         if rules.reflections.sets > 0:
             update_odds(signals, satellites, rules.reflections, ambiguities)
             keep_trusted(marks, UNUSED, rules.reflections, ambiguities)
@@ -41,3 +36,17 @@ def follow_carriers(first: int, last: int, epoch: Epoch) -> None:
         rtk.fixes += watch_slips(
             carriers, marks, epoch.observed[v].age, motion, ambiguities, rules, par.slips, rtk.slips, rtk.fixes + 1
         )
+
+
+@jit(borrows=True)
+def _find_locked(signals: Records, rules: Any, dt: float, marks: Records, ambiguities: Records) -> None:
+    """Mark carriers with lock and satellites in use; release the integers of the others, and leave out faded ones."""
+    for s in range(signals.shape[0]):
+        signal, mark = signals[s], marks[s]
+        mark.phase_ok = signal.tracked and signal.phase[0] != 0.0 and (rules.bands == 1 or signal.phase[1] != 0.0)
+        # A carrier that was lost comes back with other integers.
+        if not mark.phase_ok or signal.lock_lost:
+            ambiguities[s].held = False
+        mark.used = is_strong(signal, rules.sin_mask, rules.cn0_min)
+        mark.factor = mark.quality if mark.used else UNUSED
+    leave_out_faded(signals, rules, dt, marks, ambiguities)

@@ -111,23 +111,30 @@ def watch_speeds(first: int, last: int, epoch: Epoch) -> None:
 @jit
 def judge_fix(first: int, last: int, epoch: Epoch) -> None:
     """Jump monitor: accept a confirmed RTK position, refuse it, or wait."""
-    par = epoch.parameters[0]
+    of_backup = np.empty(epoch.levels.shape[1:])
     for v in range(first, last):
-        vehicle, w, fixed_levels, levels = epoch.vehicles[v], epoch.work[v], epoch.fixed_levels[v], epoch.levels[v]
-        w.accepted = False
-        if not w.fixed.usable:  # not confirmed, or of poor geometry: dead reckoning goes on with its own level
-            continue
-        if w.fixed.lasting:  # RTK has set the position since its first fix: if that was wrong, so is the position
-            _use_backup(vehicle, epoch.starts[v], epoch.faults[v], epoch.tables, par, w, fixed_levels, levels)
-        verdict = judge_position(vehicle, par, w, levels, fixed_levels)
-        w.accepted = verdict == ACCEPTED
-        if not w.accepted:
-            w.fixed.status = FAULT
-        if verdict == REFUSED:  # its integers are not believed any more: they are sought anew
-            vehicle.fixed_s = 0.0
-            ambiguities = epoch.ambiguities[v]
-            for s in range(ambiguities.shape[0]):
-                ambiguities[s].held = False
+        _judge(v, epoch, of_backup)
+
+
+@jit(borrows=True)
+def _judge(v: int, epoch: Epoch, of_backup: Array) -> None:
+    """:func:`judge_fix` for vehicle v; of_backup (R, 2) is scratch."""
+    par, vehicle, w, levels = epoch.parameters[0], epoch.vehicles[v], epoch.work[v], epoch.levels[v]
+    w.accepted = False
+    if not w.fixed.usable:  # not confirmed, or of poor geometry: dead reckoning goes on with its own level
+        return
+    found, faults = epoch.fixed_levels[v], epoch.faults[v]
+    if w.fixed.lasting:  # RTK has set the position since its first fix: if that was wrong, so is the position
+        _use_backup(vehicle, epoch.starts[v], faults, epoch.tables, par, w, found, levels, of_backup)
+    verdict = judge_position(vehicle, par, w, levels, found)
+    w.accepted = verdict == ACCEPTED
+    if not w.accepted:
+        w.fixed.status = FAULT
+    if verdict == REFUSED:  # its integers are not believed any more: they are sought anew
+        vehicle.fixed_s = 0.0
+        ambiguities = epoch.ambiguities[v]
+        for s in range(ambiguities.shape[0]):
+            ambiguities[s].held = False
 
 
 @jit(borrows=True)
@@ -158,11 +165,13 @@ def reference_point(fixed: Any, lever: Any, sin_h: float, cos_h: float) -> tuple
 
 @jit(inline=True)
 def _use_backup(
-    vehicle: Any, starts: Records, faults: Any, tables: Tables, par: Any, w: Any, found: Array, pl: Array
-) -> None:
+    vehicle: Any, starts: Records, faults: Any, tables: Tables, par: Any, w: Any, found: Array, pl: Array,
+    levels: Array,
+) -> None:  # fmt: skip
     """Return to the backup solution where it or the drift watch contradicts an RTK position that lasts.
 
-    ``found`` (R, 2) are the levels of RTK; ``pl`` (R, 2) become those of the backup solution, if it is used [m].
+    ``found`` (R, 2) are the levels of RTK; ``pl`` (R, 2) become those of the backup solution, if it is used [m], which
+    ``levels`` (R, 2) are for.
     """
     backup, sin_h, cos_h = vehicle.backup, w.sin_h, w.cos_h
     east, north = reference_point(w.fixed, par.lever, sin_h, cos_h)
@@ -172,13 +181,14 @@ def _use_backup(
     # Within the levels of RTK the backup says nothing new, and without a level of its own it refutes nothing.
     if not (known and (vehicle.jump.drifts or at > found[0, 0] or ct > found[0, 1])):
         return
-    levels, later = np.empty_like(pl), later_by(backup.age, vehicle.memory_s, par.risk.fault_duration)
+    later = later_by(backup.age, vehicle.memory_s, par.risk.fault_duration)
     growth, separations = vehicle.growth[BACKUP], faults.backup
     levels_since_fix(growth, starts[BACKUP], separations, tables, par.risk, sin_h, cos_h, later, levels)
     if vehicle.jump.drifts or contradicts(east, north, sin_h, cos_h, levels[0], found[0]):
         vehicle.position[0], vehicle.position[1] = backup.position[0], backup.position[1]
         vehicle.since_rtk, vehicle.separated = backup.age, True
-        pl[:] = levels
+        for r in range(pl.shape[0]):
+            pl[r, 0], pl[r, 1] = levels[r, 0], levels[r, 1]
         copy_reckoning(BACKUP, LATEST, vehicle, starts, faults)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from lanebound.integrity.core.accel import jit
@@ -21,7 +23,7 @@ from lanebound.integrity.monitoring.doppler_separation_kernel import (
 from lanebound.integrity.monitoring.heading_separation_kernel import state_of
 from lanebound.integrity.monitoring.jump_kernel import suspects_signals
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import later_by
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Array, Epoch
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Array, Epoch, Tables
 from lanebound.integrity.positioning.rows_kernel import ROW
 from lanebound.integrity.positioning.rtk_kernel import UNUSED, is_strong, weigh
 
@@ -32,41 +34,54 @@ __all__ = ["find_velocity"]
 def find_velocity(first: int, last: int, epoch: Epoch) -> None:
     """Velocity and clock drift by least squares of the range rates (df = m - 4), which may be used when ``checked``."""
     par, tables = epoch.parameters[0], epoch.tables
-    satellites, operative, n = tables.satellites, tables.cases[0], tables.satellites.shape[0]
+    satellites, n = tables.satellites, tables.satellites.shape[0]
     rows, centred, sums = np.zeros(n, ROW), np.zeros(n, CENTRED), np.zeros(MAX_GROUPS + 1, SUMS)
     for v in range(first, last):
-        vehicle, w, signals, marks = epoch.vehicles[v], epoch.work[v], epoch.signals[v], epoch.marks[v]
-        faults = epoch.faults[v]
-        weigh(signals, par.rtk.cn0_knee, marks)
-        for s in range(n):
-            row, signal = rows[s], signals[s]
-            row.group, row.system, row.y = 0, satellites[s].system, signal.range_rate
-            row.used = is_strong(signal, par.doppler.sin_mask, par.doppler.cn0_min)
-            row.variance = (marks[s].quality if row.used else UNUSED) * par.doppler.sigma**2
-            for k in range(3):
-                row.e[k] = signal.e[k]
+        vehicle, w = epoch.vehicles[v], epoch.work[v]
+        _fill_rows(epoch.signals[v], satellites, par, epoch.marks[v], rows)
         outcome, _, _, _, w.excluded_doppler = detect_and_exclude(
             rows, vehicle.heading.angle, tables.thresholds, par.fde, w.velocity, w.q
         )
-        w.satellites_doppler = 0
-        for s in range(n):
-            w.satellites_doppler += rows[s].used
         w.hdop_doppler = hdop_of(rows)
         # Without redundancy there is no test: the level of the velocity then rests on the priors alone.
         w.solved = outcome <= EXCLUDED or outcome == NO_REDUNDANCY
-        if w.solved:
-            centre_rows(rows, w.velocity, centred, sums)
-            find_satellite_influences(w.q, centred, sums, faults)
-            find_system_influences(w.q, satellites, tables.prior, par.risk.spendable, centred, sums, faults)
-        else:
-            for k in range(faults.shape[0]):
-                forget_influence(faults[k].now)
-        w.suspect = suspects_signals(vehicle.jump)
-        w.later = later_by(vehicle.since_rtk, vehicle.memory_s, par.risk.fault_duration)
-        # The priors of modes that no velocity can do without must leave enough of the risk for a level.
-        spendable = AFFORDABLE * (operative.budget[0] + operative.budget[1])
-        affordable = w.later * lost_prior(tables.prior, faults) <= spendable
-        w.checked = w.solved and not w.suspect and (par.risk.published or affordable)
+        _judge(rows, tables, par, vehicle, w, epoch.faults[v], centred, sums)
+
+
+@jit(borrows=True)
+def _fill_rows(signals: Records, satellites: Records, par: Any, marks: Records, rows: Records) -> None:
+    """A row of each satellite, in use where its signal is strong; all have one clock."""
+    weigh(signals, par.rtk.cn0_knee, marks)
+    for s in range(rows.shape[0]):
+        row, signal = rows[s], signals[s]
+        row.group, row.system, row.y = 0, satellites[s].system, signal.range_rate
+        row.used = is_strong(signal, par.doppler.sin_mask, par.doppler.cn0_min)
+        row.variance = (marks[s].quality if row.used else UNUSED) * par.doppler.sigma**2
+        for k in range(3):
+            row.e[k] = signal.e[k]
+
+
+@jit(borrows=True)
+def _judge(
+    rows: Records, tables: Tables, par: Any, vehicle: Any, w: Any, faults: Records, centred: Records, sums: Records
+) -> None:
+    """What each fault mode does to the velocity, and whether it may be used."""
+    w.satellites_doppler = 0
+    for s in range(rows.shape[0]):
+        w.satellites_doppler += rows[s].used
+    if w.solved:
+        centre_rows(rows, w.velocity, centred, sums)
+        find_satellite_influences(w.q, centred, sums, faults)
+        find_system_influences(w.q, tables.satellites, tables.prior, par.risk.spendable, centred, sums, faults)
+    else:
+        for k in range(faults.shape[0]):
+            forget_influence(faults[k].now)
+    w.suspect = suspects_signals(vehicle.jump)
+    w.later = later_by(vehicle.since_rtk, vehicle.memory_s, par.risk.fault_duration)
+    # The priors of modes that no velocity can do without must leave enough of the risk for a level.
+    spendable = AFFORDABLE * (tables.cases[0].budget[0] + tables.cases[0].budget[1])
+    affordable = w.later * lost_prior(tables.prior, faults) <= spendable
+    w.checked = w.solved and not w.suspect and (par.risk.published or affordable)
 
 
 @jit(borrows=True)
