@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.monitoring.separation_kernel import Modes, Moments, add_subset
 from lanebound.integrity.positioning.geometry_kernel import Geometry
-from lanebound.integrity.positioning.reflection_odds_kernel import find_sets
+from lanebound.integrity.positioning.reflection_odds_kernel import LARGEST_SET, find_sets, find_sets_of
 
 __all__ = ["add_reflection_modes", "keep_likely"]
 
@@ -50,7 +50,7 @@ def keep_likely(used: Bools, odds: Array, systems: float, reflections: Any, sets
     return n
 
 
-@jit
+@jit(borrows=True)
 def add_reflection_modes(
     n: int, count: int, sin_h: float, cos_h: float, odds: Array, group: Ints, reflections: Any, sets: Ints,
     geo: Geometry, moments: Moments, modes: Modes,
@@ -61,7 +61,7 @@ def add_reflection_modes(
     has a threshold for it. Returns the number of modes, the prior of single faults without a solution, and the
     probability of two or more faults that no mode covers; 1 when too many sets would be needed.
     """
-    removed = modes.removed[:n]
+    removed, total = modes.removed, 0.0
     lost, constellations = 0.0, 0.0
     for k in range(1, count):
         if k > n:
@@ -71,13 +71,15 @@ def add_reflection_modes(
             modes.prior[k], modes.weight[k] = odds[k - 1], odds[k - 1] if solved else 0.0
             modes.log_prior[k] = math.log(odds[k - 1]) if solved else -np.inf
         lost += modes.prior[k] if not modes.sigma[0, k] < np.inf else 0.0
-    found, apart = find_sets(odds, n, reflections, sets)
+    found, apart = find_sets_of(odds, n, reflections, modes.order, sets)
     if found < 0:
         return count, lost, 1.0
     for i in range(found):
         prior = 1.0
-        removed[:] = False
-        for k in sets[i]:
+        for k in range(n):
+            removed[k] = False
+        for j in range(LARGEST_SET):
+            k = sets[i, j]
             if k >= 0:
                 removed[k] = True
                 prior *= odds[k]
@@ -89,4 +91,6 @@ def add_reflection_modes(
         modes.log_prior[column] += math.log(2.0)
         for q in range(2):
             modes.delta[q, column] = abs(modes.separation[q, column])
-    return count, lost, apart + constellations * float(odds[:n].sum())
+    for k in range(n):
+        total += odds[k]
+    return count, lost, apart + constellations * total

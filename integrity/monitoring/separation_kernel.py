@@ -62,8 +62,8 @@ class Modes(NamedTuple):
     fault-free solution; bias (2, W) bound of its nominal bias; separation (2, W) ``x - x_i`` [m]; prior, log_prior (W,)
     fault probability; weight (W,) the prior of the modes with a solution, 0 of the others; k_fa (W,) the normalised
     separation that passes the fault test, filled by :func:`set_factors`; offset (2, W) ``K_fa sigma_d + b`` and
-    rate (2, W) ``1 / sigma``, filled by :mod:`.protection_kernel`; removed (W,) and rows (3, W): scratch, which
-    satellites a mode removes and the design rows of the others.
+    rate (2, W) ``1 / sigma``, filled by :mod:`.protection_kernel`; scratch: removed (W,), the satellites
+    that a mode removes, order (W,) of them, and rows (3, W), design rows of the others.
     """
 
     sigma: Array
@@ -77,6 +77,7 @@ class Modes(NamedTuple):
     rate: Array
     k_fa: Array
     removed: Bools
+    order: Ints
     rows: Array
 
 
@@ -102,7 +103,8 @@ def mode_scratch(n: int, subsets: int = 0) -> Modes:
     w = capacity(n, subsets)
     return Modes(
         np.zeros((2, w)), np.zeros((2, w)), np.zeros((2, w)), np.zeros((2, w)), np.zeros(w), np.zeros(w), np.zeros(w),
-        np.zeros((2, w)), np.zeros((2, w)), np.zeros(w), np.zeros(w, dtype=np.bool_), np.zeros((3, w)),
+        np.zeros((2, w)), np.zeros((2, w)), np.zeros(w), np.zeros(w, dtype=np.bool_),
+        np.zeros(w, dtype=np.int64), np.zeros((3, w)),
     )  # fmt: skip
 
 
@@ -476,17 +478,20 @@ def set_factors(n: int, count: int, factors: Array, least: float, clocks: Record
         k_fa[k] = max(factors[highest], least)
 
 
-@jit
+@jit(borrows=True)
 def add_subset(
     column: int, prior: float, removed: Bools, group: Ints, n: int, sin_h: float, cos_h: float, geo: Geometry,
     moments: Moments, modes: Modes,
 ) -> tuple[int, float]:  # fmt: skip
-    """Append the tested mode of a subset of the satellites, ``removed`` (n,), after :func:`set_priors`.
+    """Append the tested mode of a subset of the satellites, ``removed`` (>= n,), after :func:`set_priors`.
 
     A subset with none of its satellites in view adds nothing. Returns the number of modes, and the prior if the mode
     has no solution, else 0.
     """
-    if not removed.any():
+    some = False
+    for i in range(n):
+        some = some or removed[i]
+    if not some:
         return column, 0.0
     _remove_subset(column, removed, group, moments.accuracy, n, sin_h, cos_h, geo, modes)
     solved = modes.sigma[0, column] < np.inf

@@ -65,7 +65,13 @@ def find_sets(odds: Array, n: int, rules: Any, sets: Ints) -> tuple[int, float]:
     odds (>= n,) [-]; sets (>= rules.sets, LARGEST_SET) receives indices, -1 for none. The number is -1 when more than
     ``rules.sets`` would be needed.
     """
-    order, everything, single = np.empty(n, dtype=np.int64), 1.0, 0.0
+    return find_sets_of(odds, n, rules, np.empty(n, dtype=np.int64), sets)
+
+
+@jit(borrows=True)
+def find_sets_of(odds: Array, n: int, rules: Any, order: Ints, sets: Ints) -> tuple[int, float]:
+    """:func:`find_sets`, for which order (>= n,) is scratch."""
+    everything, single = 1.0, 0.0
     for i in range(n):
         k = i
         while k > 0 and odds[order[k - 1]] < odds[i]:
@@ -78,7 +84,7 @@ def find_sets(odds: Array, n: int, rules: Any, sets: Ints) -> tuple[int, float]:
     if left <= rules.limit:
         return 0, left
     for _ in range(HALVINGS):
-        count, seen = _sets_above(least, odds, order, rules.sets, sets)
+        count, seen = _sets_above(least, odds, n, order, rules.sets, sets)
         if count < 0:
             break
         if left - seen <= rules.limit:
@@ -87,10 +93,10 @@ def find_sets(odds: Array, n: int, rules: Any, sets: Ints) -> tuple[int, float]:
     return -1, left
 
 
-@jit
-def _sets_above(least: float, odds: Array, order: Ints, most: int, sets: Ints) -> tuple[int, float]:
+@jit(borrows=True)
+def _sets_above(least: float, odds: Array, n: int, order: Ints, most: int, sets: Ints) -> tuple[int, float]:
     """Number and total odds of the sets of two and three with odds of ``least`` and more; -1: above ``most``."""
-    n, count, seen = order.shape[0], 0, 0.0
+    count, seen = 0, 0.0
     for i in range(n):
         for j in range(i + 1, n):
             pair = odds[order[i]] * odds[order[j]]

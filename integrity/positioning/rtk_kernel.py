@@ -396,16 +396,17 @@ def drop_small_systems(member: Bools, satellites: Records, minimum: int) -> tupl
 
     Further signals of satellites stay, and do not count.
     """
+    counts = 0  # 8 bits for each system: a scratch array would cost more than the counting
+    for s in range(member.shape[0]):
+        if member[s] and not satellites[s].further:
+            counts += 1 << 8 * satellites[s].system
     members, systems = 0, 0
     for c in range(MAX_GROUPS):
-        count = 0
-        for s in range(member.shape[0]):
-            count += member[s] and not satellites[s].further and satellites[s].system == c
+        count = counts >> 8 * c & 255
         if count >= minimum:
             members += count
             systems += 1
-            continue
-        for s in range(member.shape[0]):
-            if not satellites[s].further and satellites[s].system == c:
-                member[s] = False
+    for s in range(member.shape[0]):
+        if member[s] and not satellites[s].further and counts >> 8 * satellites[s].system & 255 < minimum:
+            member[s] = False
     return members, systems

@@ -215,7 +215,7 @@ def _solve_fixed(
     return True
 
 
-@jit
+@jit(borrows=True)
 def levels_of_fix(
     n: int, wrong: float, sin_h: float, cos_h: float, tables: Tables, par: Any, scratch: FixedScratch, pl: Array
 ) -> None:
