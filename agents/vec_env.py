@@ -157,6 +157,10 @@ class EngineVecEnv(VecEnv):
         """An attribute that all environments share, once for each index."""
         if attr_name == "render_mode":
             return [None] * self._count(indices)
+        if attr_name in ("observation_space", "action_space"):
+            attr_name = f"single_{attr_name}"
+        if attr_name == "np_random":
+            raise InputError("np_random is not shared by the environments of an engine: seed them with seed()")
         return [getattr(self.envs, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:

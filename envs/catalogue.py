@@ -11,10 +11,13 @@ from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.world import make_world, world_defaults
 from lanebound.envs.worlds import world_kind
 from lanebound.envs.worlds.base import META
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["world_of"]
 
+QUANTISED = "DiscreteAction"  # highway-env's grid of continuous commands
 TYPES = {ActionKind.META: "DiscreteMetaAction", ActionKind.CONTINUOUS: "ContinuousAction"}
+KINDS = {ActionKind.META: (TYPES[ActionKind.META],), ActionKind.CONTINUOUS: (TYPES[ActionKind.CONTINUOUS], QUANTISED)}
 
 
 def world_of(config: EnvConfig) -> AbstractEnv:
@@ -32,12 +35,23 @@ def world_of(config: EnvConfig) -> AbstractEnv:
     kind = world_kind(name)
     ours = kind is not None and kind.world is not None
     own = dict(META) if ours and not continuous else _action(defaults["action"], config.action)
+    _require_kind(config)
     world = dict(config.world)
     if "offroad_terminal" in defaults:
         world.setdefault("offroad_terminal", config.off_road_ends)
     return make_world(
         name, world, {**own, **config.action_options}, config.simulation_hz, config.policy_hz, config.duration_s
     )
+
+
+def _require_kind(config: EnvConfig) -> None:
+    """Refuse an action type that is not of the kind of action."""
+    given, kinds = config.action_options.get("type"), KINDS[config.action]
+    if given is not None and given not in kinds:
+        raise ConfigError(
+            f"action_options.type must be {' or '.join(kinds)} with action '{config.action.value}', got {given!r}: set "
+            "action, and leave the type out"
+        )
 
 
 def _action(native: dict[str, Any], kind: ActionKind) -> dict[str, Any]:

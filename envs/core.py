@@ -250,6 +250,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
             Unknown options, or a fault that cannot act in this episode.
         """
         super().reset(seed=seed)
+        self.belief_loop = None  # there is no episode if what follows is refused
         faults = faults_in(options)
         episode_seed = int(self.np_random.integers(EPISODE_SEEDS))
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(WORLD_SEEDS)))

@@ -77,8 +77,8 @@ class NavigationConfig(Config):
 
     @property
     def clock_start_s(self) -> float:
-        """Time of the clock of the navigators at the start of an episode: the warm-up plus one epoch."""
-        return self.warm_up_s + 1.0 / self.rate_hz
+        """Time of the clock of the navigators at the start of an episode: whole epochs of warm-up plus one."""
+        return (self.epochs_before(1.0 / self.rate_hz) + 1) / self.rate_hz
 
     def epochs_before(self, epoch_s: float) -> int:
         """Epochs of the approach before an episode."""

@@ -1,14 +1,15 @@
 """The true world: an environment of highway-env with the ego and all other vehicles.
 
 Its dynamics, traffic, rewards and end rules are unchanged. Three things are set here: the observation (none, because
-lanebound makes its own), reward terms that fail for array actions (merge, roundabout), and the drivers at intersections
-with their right of way (:mod:`.worlds.crossing`).
+lanebound makes its own), reward terms that fail for array actions or where a speed of 0 is wanted (merge, roundabout),
+and the drivers at intersections with their right of way (:mod:`.worlds.crossing`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import gymnasium
@@ -18,6 +19,7 @@ from gymnasium.error import Error as GymnasiumError
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.envs.parking_env import ParkingEnv
+from highway_env.vehicle.controller import ControlledVehicle
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.ego_kernel import IDLE
@@ -25,6 +27,7 @@ from lanebound.envs.worlds import world_kind, world_kinds
 from lanebound.envs.worlds.crossing import CrossingRoad
 from lanebound.envs.worlds.drivers import IntersectionDriver
 from lanebound.envs.worlds.highway import IDM_PATH
+from lanebound.envs.worlds.intersection import DESTINATIONS
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import deep_merge, nearest
 
@@ -32,17 +35,27 @@ __all__ = ["checked_command", "guard", "make_world", "within_rounding", "world_d
 
 ROUNDING_ULP = 16  # of the larger bound; a scale and an offset in float32 round by 1 or 2, or by 15 on a narrow range
 NOTHING = {"type": "AttributesObservation", "attributes": []}
+SLOW_MERGING, MERGING_LANE = "merging_speed_reward", ("b", "c", 2)
 RESERVED = ("observation", "action", "simulation_frequency", "policy_frequency", "manual_control")
 DIRECT = "ContinuousAction"
 CROSSING_PATH = f"{IntersectionDriver.__module__}.{IntersectionDriver.__qualname__}"
 
 
 def _guarded_rewards(world: AbstractEnv, action: Any) -> dict[str, float]:
-    """The world's own reward terms; where they compare an array with integers, those of an idle action."""
-    try:
-        terms: dict[str, float] = type(world)._rewards(world, action)
-    except ValueError:
-        terms = type(world)._rewards(world, IDLE)
+    """The world's own reward terms; where they compare an array with integers, those of an idle action.
+
+    Vehicles of Merge that are to stand take no part in the term that divides by the speed that they want.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        try:
+            terms: dict[str, float] = type(world)._rewards(world, action)
+        except ValueError:
+            terms = type(world)._rewards(world, IDLE)
+    if not np.isfinite(terms.get(SLOW_MERGING, 0.0)):
+        driving = [v for v in world.road.vehicles if isinstance(v, ControlledVehicle) and v.target_speed != 0.0]
+        terms[SLOW_MERGING] = sum(
+            (v.target_speed - v.speed) / v.target_speed for v in driving if v.lane_index == MERGING_LANE
+        )
     return terms
 
 
@@ -131,11 +144,14 @@ def make_world(
 
 ACTION_NAMES = {"DiscreteMetaAction": "meta", DIRECT: "continuous"}
 """Values of ``action`` of an environment, by the action types of highway-env."""
-WHOLE = {"lanes_count": (1, 20), "vehicles_count": (0, 1000), "layout": (0, 10**6)}
+WHOLE = {"lanes_count": (1, 20), "vehicles_count": (0, 1000), "layout": (0, 10**6), "initial_vehicle_count": (0, 1000),
+         "incoming_vehicle_destination": (0, 2)}  # fmt: skip
 """Keys of worlds that are whole numbers, with the least and most: highway-env fails far from what is wrong."""
 NUMBERS = {"vehicles_density": (0.01, 10.0), "initial_speed": (0.0, 60.0), "lane_width": (2.0, 20.0),
-           "ego_spacing": (0.01, 100.0), "duration": (0.1, 1e6)}  # fmt: skip
+           "ego_spacing": (0.01, 100.0), "duration": (0.1, 1e6), "spawn_probability": (0.0, 1.0)}  # fmt: skip
 """Those that are numbers."""
+RANGES = "reward_speed_range", "time_gap", "spread"
+"""Those that are two numbers, the lower one first."""
 
 
 def _check_figures(config: Mapping[str, Any]) -> None:
@@ -147,6 +163,16 @@ def _check_figures(config: Mapping[str, Any]) -> None:
         if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
             kind = "a whole number" if key in WHOLE else "a number"
             raise ConfigError(f"world.{key} must be {kind} between {low:g} and {high:g}, got {value!r}: correct it")
+    for key in RANGES:
+        value = config.get(key)
+        both = isinstance(value, list | tuple) and len(value) == 2 and all(isinstance(v, int | float) for v in value)
+        if value is not None and not (both and value[0] < value[1]):
+            raise ConfigError(f"world.{key} must be two numbers, the lower one first, got {value!r}: correct it")
+    if config.get("destination") not in (None, "", *DESTINATIONS):
+        raise ConfigError(
+            f"world.destination must be one of {', '.join(DESTINATIONS)}, or None to draw one, got "
+            f"{config['destination']!r}: correct it"
+        )
     lane, count = config.get("initial_lane_id"), config.get("lanes_count", 1)
     if lane is not None and not (isinstance(lane, int) and 0 <= lane < count):
         raise ConfigError(f"world.initial_lane_id must be None or 0 to {count - 1} on {count} lanes, got {lane!r}: "
@@ -154,7 +180,7 @@ def _check_figures(config: Mapping[str, Any]) -> None:
 
 
 def guard(kind: type[AbstractEnv], config: dict[str, Any]) -> AbstractEnv:
-    """highway-env's environment itself, except that its reward terms survive an action that is an array."""
+    """highway-env's environment itself, except for reward terms that would fail (:func:`_guarded_rewards`)."""
     world: AbstractEnv = object.__new__(kind)
     world._rewards = partial(_guarded_rewards, world)  # before __init__, which resets
     if config.get("other_vehicles_type") == CROSSING_PATH:
@@ -182,8 +208,12 @@ def _check_action(action: Mapping[str, Any]) -> None:
     speeds = action.get("target_speeds")
     if speeds is not None:
         row = list(speeds) if isinstance(speeds, list | tuple | np.ndarray) else []
-        if len(row) < 2 or not all(isinstance(v, int | float) and np.isfinite(v) for v in row):
-            raise ConfigError(f"action_options.target_speeds must be two or more speeds in m/s, got {speeds!r}")
+        if (
+            len(row) < 2
+            or not all(isinstance(v, int | float) and np.isfinite(v) for v in row)
+            or not all(slower < faster for slower, faster in pairwise(row))
+        ):
+            raise ConfigError(f"action_options.target_speeds must be two or more rising speeds in m/s, got {speeds!r}")
 
 
 def _check_keys(given: Mapping[str, Any], known: Mapping[str, Any], path: str) -> None:

@@ -251,8 +251,8 @@ class NavigationBatch:
         self, rows: Rows, navigator: Navigator, motions: Records, starts: Starts, cars: Records
     ) -> Approach:  # fmt: skip
         """Drive all vehicles straight up to their starts, an epoch after another."""
-        every, size, steps = np.arange(rows.size), motions.size, self.epochs_before * self.steps
-        truth, heard = np.zeros(size, TRUTH), list[tuple[float, Solution]]()
+        every, steps = np.arange(rows.size), self.epochs_before * self.steps
+        truth, heard = self._nowhere(rows), list[tuple[float, Solution]]()
         end, ahead = np.zeros((2, *motions.shape, 2))
         before_s = self.epochs_before * self.epoch_s
         begin_motion(rows, cars, self.lanes, self.where, self.step_s, before_s, motions, end, ahead, truth)
@@ -302,7 +302,7 @@ class NavigationBatch:
     def sense(self, rows: Rows, cars: Records, egos: Records) -> None:
         """Measure the epoch that ends now: the motion of all vehicles since the last one, under the skies of now."""
         self._age += 1
-        truth, clock_s = np.zeros(self.motions.size, TRUTH), self.clock_s
+        truth, clock_s = self._nowhere(slice(None)), self.clock_s
 
         def work(first: int, last: int) -> None:
             rk.end_epoch(
@@ -314,6 +314,12 @@ class NavigationBatch:
         self.effects = self.faults.effects(clock_s, self.epoch_s, self.vehicles, self._sky_over)
         now_s = self._clock_s(self.navigator.epoch + 1 - self._epochs_at_start)
         self.measurements = self.navigator.measure(Truth.of(now_s, self.epoch_s, truth), self.view(), self.effects)
+
+    def _nowhere(self, rows: Rows | slice) -> Records:
+        """Truth of all places for vehicles of environments: at rest at the beginning of the city of each."""
+        truth = np.zeros(self.where.city[rows].size * self.vehicles, TRUTH)
+        truth["arc"] = np.repeat(self.where.city[rows], self.vehicles)
+        return truth
 
     def locate(self) -> None:
         """Locate all vehicles by the measurements alone."""

@@ -122,7 +122,7 @@ class Engine:
         self.speeds = np.array(inner.target_speeds if meta else [0.0, 1.0], dtype=np.float64)
         self._ranges = _direct_ranges(inner)
         self.world = self._world()
-        steps = math.ceil(self.duration_s * config.simulation_hz) + 1
+        steps = math.ceil(self.duration_s * config.simulation_hz) + 1 + self.frames  # the last decision goes beyond it
         self.wander = config.wander.shapes(0, steps, 1.0 / config.simulation_hz)
         self._everyone = np.arange(count)
         self._generators: list[np.random.Generator | None] = [None] * count

@@ -323,9 +323,9 @@ def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int |
     """One seed for each environment."""
     if seed is None:
         return [None] * count
-    if isinstance(seed, int | np.integer):
+    if isinstance(seed, int | np.integer) and not isinstance(seed, bool):
         seed = [int(seed) + i for i in range(count)]
-    if not isinstance(seed, Sequence | np.ndarray):
+    if not isinstance(seed, Sequence | np.ndarray) or not all(_is_seed(s) for s in seed):
         raise InputError(f"seed must be an int or one for each of {count} environments, got {seed!r}: pass ints")
     seeds = [None if s is None else int(s) for s in seed]
     lowest = min((s for s in seeds if s is not None), default=0)
@@ -334,6 +334,10 @@ def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int |
     if len(seeds) != count:
         raise InputError(f"seed must be an int or one for each of {count} environments, got {len(seeds)} of them")
     return seeds
+
+
+def _is_seed(seed: object) -> bool:
+    return isinstance(seed, int | np.integer | None) and not isinstance(seed, bool)
 
 
 def _mask_of(options: dict[str, Any] | None, count: int) -> Flags:

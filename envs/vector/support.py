@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import DiscreteAction
 from highway_env.vehicle.objects import Landmark
 
 from lanebound.envs.batch.episodes import empty_cars
@@ -147,6 +148,8 @@ def require_supported(single: DrivingEnv) -> None:
         raise _refusal("world.vehicles_count", f"at most slots = {config.slots}", world.config["vehicles_count"])
     if (others := support.vehicles(world) - 1) > config.slots:
         raise _refusal("slots", f"{others} or more, as many as others there may be at a start", config.slots)
+    if config.action is ActionKind.CONTINUOUS and isinstance(world.action_type, DiscreteAction):
+        raise _refusal("action_options.type", "ContinuousAction", "DiscreteAction")
     if config.action is ActionKind.CONTINUOUS and world.action_type.dynamical:
         raise _refusal("action_options.dynamical", "False", True)
 

@@ -157,7 +157,8 @@ def _of_merge(cars, drivers, ego, lanes, rules, world):  # type: ignore[no-untyp
     for i in range(cars.shape[0]):
         if cars[i].lane == world.merging and (i > 0 or rules.meta != 0):
             wanted = drivers[i].target_speed if i > 0 else ego.belief.target_speed_mps
-            slow += (wanted - cars[i].speed) / wanted
+            if wanted != 0.0:  # one that is to stand takes no part: highway-env divides by zero
+                slow += (wanted - cars[i].speed) / wanted
     total = world.collision * (1.0 if cars[0].crashed != 0 else 0.0) + world.first * lanes.table[cars[0].lane].side
     total += world.second * ((cars[0].speed - world.slow_mps) / (world.fast_mps - world.slow_mps))
     total += ego.command.effort + world.third * slow

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
     from lanebound.integrity.core.records import Records
 
-__all__ = ["IDM_PATH", "motorway_support", "only_idm"]
+__all__ = ["IDM_PATH", "even_speeds", "motorway_support", "only_idm"]
 
 IDM_PATH = "highway_env.vehicle.behavior.IDMVehicle"
 
@@ -65,3 +66,13 @@ def only_idm(world: AbstractEnv) -> list[Refusal]:
     """Refuse drivers other than those of highway-env's own class."""
     found = world.config["other_vehicles_type"]
     return [] if found == IDM_PATH else [("world.other_vehicles_type", IDM_PATH, found)]
+
+
+def even_speeds(world: AbstractEnv) -> list[Refusal]:
+    """As :func:`only_idm`, and refuse target speeds whose number in the list, which is rewarded, does not follow from
+    the speed."""
+    inner = world.action_type
+    speeds = np.array(inner.target_speeds if isinstance(inner, DiscreteMetaAction) else [0.0, 1.0], dtype=np.float64)
+    even = np.allclose(speeds, np.linspace(speeds[0], speeds[-1], speeds.size))
+    wrong = [] if even else [("action_options.target_speeds", "evenly spaced", speeds.tolist())]
+    return [*only_idm(world), *wrong]

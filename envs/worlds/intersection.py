@@ -26,6 +26,7 @@ __all__ = ["intersection_support"]
 
 Array = NDArray[np.float64]
 ARMS = range(4)
+DESTINATIONS = "o1", "o2", "o3"
 OWN = "o0", "ir0", 0  # first lane of the ego
 BEFORE_S = 3  # of traffic before the ego is there
 APART_M, EGO_APART_M = 15.0, 20.0  # from others, for a vehicle that enters and for those that are there before the ego
@@ -53,7 +54,7 @@ def _refusals(world: AbstractEnv) -> list[Refusal]:
     c, out = world.config, []
     if c["other_vehicles_type"] != DRIVER_PATH:
         out.append(("world.other_vehicles_type", "left out", c["other_vehicles_type"]))
-    if not c["destination"]:
+    if c["destination"] not in DESTINATIONS:
         out.append(("world.destination", "o1, o2 or o3", c["destination"]))
     return out
 

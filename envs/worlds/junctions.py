@@ -16,7 +16,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from numpy.typing import NDArray
 
 from lanebound.envs.worlds.goals import BEYOND_CIRCLE_M
-from lanebound.envs.worlds.highway import only_idm
+from lanebound.envs.worlds.highway import even_speeds, only_idm
 from lanebound.envs.worlds.kinds import Starter, Support
 from lanebound.envs.worlds.seating import put, put_on_lane
 
@@ -142,7 +142,7 @@ def roundabout_support() -> Support:
         vehicles=lambda world: 5,
         starter=_at_roundabout,
         ends=_ends_of_roundabout,
-        refusals=only_idm,
+        refusals=even_speeds,
         drivers=IDMVehicle,
         plans=_plans_at_roundabout,
         effort=_effort_of_change,

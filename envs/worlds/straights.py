@@ -14,9 +14,9 @@ from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.vehicle.behavior import IDMVehicle
 from numpy.typing import NDArray
 
-from lanebound.envs.worlds.highway import only_idm
+from lanebound.envs.worlds.highway import even_speeds, only_idm
 from lanebound.envs.worlds.idm_parameters_kernel import STAYS
-from lanebound.envs.worlds.kinds import Refusal, Starter, Support
+from lanebound.envs.worlds.kinds import Starter, Support
 from lanebound.envs.worlds.seating import put, put_on_lane
 
 if TYPE_CHECKING:
@@ -69,8 +69,9 @@ def _before_exit(world: AbstractEnv, table: LaneTable) -> Starter:
         for i in range(1, 1 + count):
             side = int(rng.choice(lanes, size=1, p=lanes / lanes.sum())[0])
             lane = network.get_lane((*FIRST, side))
-            along += spacing * (PLACE_M + lane.speed_limit) * packed * rng.uniform(0.9, 1.1)
-            put_on_lane(cars[i], drivers[i], table, lane, along, lane.speed_limit)
+            station = along + spacing * (PLACE_M + lane.speed_limit) * packed * rng.uniform(0.9, 1.1)
+            put_on_lane(cars[i], drivers[i], table, lane, station, lane.speed_limit)
+            along = max(along, station)  # limits below -PLACE_M on the right of many lanes place a vehicle further back
             drivers[i]["route"], drivers[i]["timer"] = plans.at(int(cars["lane"][i]), LAST), STAYS
         return 1 + count
 
@@ -99,7 +100,7 @@ def two_way_support() -> Support:
         vehicles=lambda world: 1 + sum(map(len, STAYING)),
         starter=_on_two_ways,
         ends=_ends_of_two_ways,
-        refusals=_even_speeds,
+        refusals=even_speeds,
         drivers=IDMVehicle,
     )
 
@@ -131,14 +132,6 @@ def _ends_of_two_ways(world: AbstractEnv) -> Mapping[str, Any]:
         "duration_s": np.inf, "reward": OF_TWO_WAY, "first": c["left_lane_reward"], "second": c["high_speed_reward"],
         "slow_mps": speeds[0], "fast_mps": speeds[-1], "levels": len(speeds) - 1,
     }  # fmt: skip
-
-
-def _even_speeds(world: AbstractEnv) -> list[Refusal]:
-    """Refuse target speeds whose number in the list, which is rewarded, does not follow from the speed."""
-    speeds = np.array(world.action_type.target_speeds, dtype=np.float64)
-    even = np.allclose(speeds, np.linspace(speeds[0], speeds[-1], speeds.size))
-    wrong = [] if even else [("action_options.target_speeds", "evenly spaced", speeds.tolist())]
-    return [*only_idm(world), *wrong]
 
 
 def turn_support() -> Support:

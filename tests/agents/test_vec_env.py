@@ -62,6 +62,9 @@ def test_it_does_what_a_dummy_of_single_environments_does() -> None:
     assert ends >= 3
     assert rewards.dtype == np.float32
     assert engine.get_attr("render_mode") == [None] * 3
+    assert engine.get_attr("action_space", [0, 2]) == [engine.action_space] * 2
+    with pytest.raises(InputError, match="np_random is not shared"):
+        engine.get_attr("np_random")
     assert engine.env_is_wrapped(VecMonitor) == [False] * 3
     assert engine.env_is_wrapped(Monitor) == [True] * 3  # as far as its infos go
     for masks, env in zip(engine.env_method("action_masks"), single.envs, strict=True):

@@ -169,6 +169,9 @@ def test_drivers_that_something_has_rewritten_are_refused(monkeypatch: pytest.Mo
         ({"base": "merge-generic-v0", "world": {}}, "sync"),
         ({"slots": 3}, "slots"),
         ({"action": "continuous", "action_options": {"dynamical": True}}, "dynamical"),
+        ({"action": "continuous", "action_options": {"type": "DiscreteAction"}}, "action_options.type must be Contin"),
+        ({"action_options": {"type": "ContinuousAction"}}, "action_options.type must be DiscreteMetaAction with action"),
+        ({"action_options": {"target_speeds": [20, 20]}}, "target_speeds must be two or more rising speeds"),
         ({"simulation_hz": 20, "policy_hz": 4, "navigation": {"source": "perfect", "rate_hz": 2.5}}, "policy_hz"),
     ],
 )
@@ -243,7 +246,7 @@ def test_commands_and_options_are_checked() -> None:
     for wrong in ({"fault": []}, {"faults": {}}, *({"reset_mask": mask} for mask in masks)):
         with pytest.raises(InputError, match="options"):
             engine.reset(options=wrong)
-    seeds: tuple[Any, ...] = ([1, 2, 3], [1, -1], -5, 1.5)
+    seeds: tuple[Any, ...] = ([1, 2, 3], [1, -1], -5, 1.5, [1.5, 2], [True, 1], True)
     for seed in seeds:
         with pytest.raises(InputError, match="seed"):
             engine.reset(seed=seed)

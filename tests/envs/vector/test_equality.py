@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 from parted import COMPARISONS, CROWDED, DENSE, LAPS, Comparison
 
@@ -40,6 +41,7 @@ OTHERS: list[tuple[str, dict[str, Any]]] = [
     ("LaneKeeping", {"off_road_ends": False, "wrong_way_s": 0.5, "actuators": {"steering_rate_radps": None}}),
     ("Racetrack", {"base": "racetrack-large-v1", "action_options": {"longitudinal": True}}),
     ("Merge", {"base": "merge-v0", "actuators": {}, "reward": {"base": 0.5}}),
+    ("Merge", {"duration_s": 2.3}),
     ("Roundabout", {"navigation": {"source": "offset", "offset_ct_m": 0.9}, "observation": {"integrity": "oracle"}}),
     ("Roundabout", {"world": {"incoming_vehicle_destination": 2, "normalize_reward": False}, "actuators": None}),
     ("Intersection", {"base": "intersection-v0", "world": {"normalize_reward": True}, "off_road_ends": True}),
@@ -89,6 +91,26 @@ def test_crashes_and_ends_are_the_same(name: str, config: dict[str, Any]) -> Non
     require_equal(tally, parted=2)
     assert tally.crashes >= 1
     assert tally.lane_changes >= 10
+
+
+def test_to_stand_on_the_merging_lane_has_finite_rewards() -> None:
+    """highway-env divides there by the speed that a vehicle wants."""
+    navigation = {"source": "offset", "offset_ct_m": -2.4}
+    single, engine = pair("Merge", {**PERFECT, "navigation": navigation, "duration_s": 60.0, "off_road_ends": False})
+    single.reset(seed=1)
+    engine.reset(np.arange(1), [1])
+    stood = 0
+    while stood < 3:
+        x, speed = single.world.vehicle.position[0], single.world.vehicle.speed
+        action = 4 if x > 245.0 or speed > 12.0 else 1 if speed > 8.0 else 3
+        _, reward, terminated, truncated, info = single.step(action)
+        engine.step(np.array([action]))
+        assert np.isfinite([reward, info["rewards"]["base"]]).all()
+        assert engine.outcome["reward"][0] == pytest.approx(reward, abs=1e-9)
+        assert engine.outcome["base"][0] == pytest.approx(info["rewards"]["base"], abs=1e-9)
+        there = single.world.vehicle.lane_index == ("b", "c", 2)
+        stood += there and single.belief_loop is not None and single.belief_loop.believed.target_speed == 0.0
+        assert not (terminated or truncated)
 
 
 @pytest.mark.slow

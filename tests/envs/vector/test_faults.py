@@ -165,6 +165,8 @@ def test_faults_that_cannot_act_are_refused_as_in_a_single_environment(fault: di
     assert told[0] == told[1]
     with pytest.raises(InputError, match="reset must come before"):
         engine.step(np.zeros((1, 2), dtype=np.float32))
+    with pytest.raises(InputError, match="reset must come before"):
+        single.step(np.zeros(2, dtype=np.float32))
     np.testing.assert_array_equal(engine.reset()[0]["ego"][0], single.reset()[0]["ego"])
 
 

@@ -109,6 +109,8 @@ COLD: dict[str, Any] = {"navigator": {"imu": {"mems_exponential": True}}}
         ("UrbanCanyon", {**CITY, **BOTH}),
         ("Intersection", {"sky": "open", "layouts": 1, **BOTH, "world": {"spawn_probability": 0.5}}),
         ("Intersection", {"sky": "open", "layouts": 1, **SURROGATE, "world": {"spawn_probability": 0.5}}),
+        ("Intersection", {"sky": "urban", "layouts": 2, "extent_m": 300.0, "world": {"spawn_probability": 0.6}}),
+        ("LaneKeeping", {"sky": "open", "layouts": 1, "navigation": {"warm_up_s": 0.75}}),
     ],
 )
 def test_later_episodes_are_those_of_the_single_one(name: str, config: dict[str, Any]) -> None:

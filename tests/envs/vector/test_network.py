@@ -169,6 +169,7 @@ def test_vehicles_come_and_go_as_in_the_single_environment() -> None:
         drive(single, engine, seed, tally, 50)
         crews.add(int(engine.episodes.ego["vehicles"][0]))
     require_equal(tally, parted=3)
+    assert tally.steps >= 100
     assert max(crews) > 8
 
 

@@ -87,6 +87,7 @@ def test_the_lane_of_the_exit_is_rewarded(monkeypatch: pytest.MonkeyPatch) -> No
     ("base", "config", "message"),
     [
         ("two-way-v0", {"action_options": {"target_speeds": [20, 22, 30]}}, "target_speeds must be evenly spaced"),
+        ("roundabout-v1", {"action_options": {"target_speeds": [0, 2, 16]}}, "target_speeds must be evenly spaced"),
         ("u-turn-v0", {"world": {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}}, "other_vehic"),
         ("merge-generic-v0", {}, "base must have an engine, as .*two-way-v0.* do, got 'merge-generic-v0': choose one"),
         ("lane-keeping-v0", {}, "base must have an engine"),
