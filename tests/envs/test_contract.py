@@ -377,11 +377,28 @@ def test_a_configuration_that_cannot_be_is_refused_with_advice(overrides: dict[s
         ({"vehicles_density": 0}, ["world.vehicles_density", "got 0"]),
         ({"vehicles_density": float("nan")}, ["world.vehicles_density", "got nan"]),
         ({"initial_lane_id": 9}, ["world.initial_lane_id", "0 to 3", "got 9"]),
+        ({"reward_speed_range": [20, 20]}, ["world.reward_speed_range", "the lower one first", "[20, 20]"]),
     ],
 )
 def test_a_key_that_the_world_lacks_is_refused_with_advice(world: dict[str, Any], words: list[str]) -> None:
     with pytest.raises(ConfigError) as refused:
         gym.make(HIGHWAY, config={"world": world})
+    assert [word for word in words if word not in str(refused.value)] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "world", "words"),
+    [
+        ("Intersection", {"destination": "o7"}, ["world.destination", "o1, o2, o3", "'o7'"]),
+        ("Intersection", {"initial_vehicle_count": 2.5}, ["world.initial_vehicle_count", "whole", "2.5"]),
+        ("Intersection", {"spawn_probability": 7}, ["world.spawn_probability", "0 and 1", "7"]),
+        ("Roundabout", {"incoming_vehicle_destination": 5}, ["world.incoming_vehicle_destination", "0 and 2", "5"]),
+        ("CarFollowing", {"time_gap": [3, 0.1]}, ["world.time_gap", "the lower one first"]),
+    ],
+)
+def test_figures_that_a_world_cannot_be_made_of_are_refused(name: str, world: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(ConfigError) as refused:
+        gym.make(f"lanebound/{name}-v0", config={"world": world})
     assert [word for word in words if word not in str(refused.value)] == []
 
 
