@@ -13,7 +13,16 @@ from lanebound.integrity.sensors import imu_kernel, odometer_kernel
 from lanebound.integrity.sensors.arrival_kernel import WORK
 from lanebound.integrity.sensors.corrections_kernel import LINK_RULES, receive
 from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_uniforms
-from lanebound.integrity.sensors.gnss_kernel import GNSS_RULES, NORMALS, UNIFORMS, ReceiverDraws, observe_vehicle
+from lanebound.integrity.sensors.gnss_kernel import (
+    GNSS_RULES,
+    NORMALS,
+    UNIFORMS,
+    Effects,
+    Observed,
+    Receiver,
+    ReceiverDraws,
+    observe_vehicle,
+)
 from lanebound.integrity.sensors.imu_kernel import IMU_RULES
 from lanebound.integrity.sensors.near_objects_kernel import NEAR
 from lanebound.integrity.sensors.odometer_kernel import ODOMETER_RULES
@@ -112,9 +121,7 @@ def draw_jointly(rules, draws, satellites):  # type: ignore[no-untyped-def]
 
 
 @jit
-def sense(  # type: ignore[no-untyped-def]
-    first, last, epoch, rules, areas, sensors, draws, mask, sky, truths, effects, moved, signals, vehicles
-):  # fmt: skip
+def sense(first, last, epoch, rules, areas, sensors, draws, mask, sky, truths, effects, observed):  # type: ignore[no-untyped-def]
     """Measure vehicles ``first`` to ``last - 1`` of B, whose sensors advance.
 
     Parameters
@@ -123,9 +130,10 @@ def sense(  # type: ignore[no-untyped-def]
     rules, areas, sensors : (1,) of INSTRUMENT_RULES; Areas, A is 1 or B; Sensors
     draws : Draws of DRAWN_STREAMS; vehicles with one generator for all have drawn before
     mask, sky : MaskRows and SatelliteRows
-    truths, effects, moved : (B,) of TRUTH, (B, S) of SIGNAL_EFFECTS and (B,) of VEHICLE_EFFECTS
-    signals, vehicles : (B, S) of OBSERVED_SIGNAL and (B,) of OBSERVED_VEHICLE, filled but for its sight, which is read
+    truths, effects : (B,) of TRUTH; Effects
+    observed : Observed, filled but for the sight, which is read
     """
+    moved, (signals, vehicles) = effects.vehicles, observed
     par, satellites, latest = rules[0], signals.shape[1], -1
     cells, reception = np.empty(satellites, np.int64), np.empty(satellites, RECEPTION)
     row, work = np.empty(draw_width(satellites)), np.zeros(1, WORK)
@@ -147,9 +155,10 @@ def sense(  # type: ignore[no-untyped-def]
             sensors.links[v], sensors.held[v],
         )  # fmt: skip
         observe_vehicle(
-            par.gnss, areas.sites[a], areas.slow[a], sensors.held[v], sensors.receivers[v], sensors.signals[v],
-            ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), sky,
-            reception, truth, effects[v], moved[v], signals[v], out, work[0],
+            par.gnss, areas.sites[a], areas.slow[a],
+            Receiver(sensors.receivers[v], sensors.signals[v], sensors.held[v]),
+            ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), sky, reception,
+            truth, Effects(effects.signals[v], moved[v]), Observed(signals[v], out), work[0],
         )  # fmt: skip
         imu_kernel.measure(par.imu, sensors.inertial[v], z.imu, truth, moved[v].gyro_bias_radps, out)
         odometer_kernel.measure(par.odometer, sensors.wheels[v], z.odometer, truth.distance, moved[v], out)
