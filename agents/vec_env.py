@@ -22,6 +22,7 @@ from lanebound.envs.batch.infos import NAMES, single_info
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import faults_in
 from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
+from lanebound.envs.info import info_entries
 from lanebound.envs.vector.env import VectorDrivingEnv, WrappedVectorEnv, engines
 from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.errors import InputError
@@ -72,9 +73,10 @@ class EngineVecEnv(VecEnv):
             )
         if isinstance(keys, str):
             raise InputError(f"keys must be a list of entries of info, got {keys!r}: pass [{keys!r}]")
+        known = (*NAMES, *(entry.name for entry in info_entries()))
         for key in keys:
-            if key not in NAMES:
-                raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, NAMES)}")
+            if key not in known:
+                raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, known)}")
         if wrapped:
             self.envs: VectorDrivingEnv = WrappedVectorEnv(env_id, num_envs, config, AutoresetMode.SAME_STEP)
         else:

@@ -241,7 +241,8 @@ class BeliefLoop:
     @property
     def info(self) -> dict[str, Any]:
         """What the last policy step has come to."""
-        return info_of(self.episodes.ego["outcome"], 0)
+        own = {name: float(values[0]) for name, values in self.episodes.own_info.items()}
+        return info_of(self.episodes.ego["outcome"], 0) | own
 
     def _intents(self) -> None:
         """Targets of meta-actions, into the records."""

@@ -1,8 +1,24 @@
-"""What the entries of ``info`` mean; the page of :class:`~lanebound.envs.core.DrivingEnv` says more."""
+"""What the entries of ``info`` mean; the page of :class:`~lanebound.envs.core.DrivingEnv` says more.
+
+:func:`register_info` adds one from outside.
+"""
 
 from __future__ import annotations
 
-__all__ = ["INFO"]
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import require_new, require_registered
+
+if TYPE_CHECKING:
+    from lanebound.envs.observation import Observed
+
+__all__ = ["INFO", "InfoEntry", "info_entries", "register_info", "withdraw_info"]
 
 INFO: dict[str, str] = {
     "cost": "weighted sum of the costs of this step",
@@ -41,3 +57,52 @@ INFO: dict[str, str] = {
     "is_success": "the episode ends well here",
     "yaw_rate_radps": "true turn rate over the step [rad/s]",
 }
+
+
+@dataclass(frozen=True)
+class InfoEntry:
+    """A number of ``info`` from outside.
+
+    Attributes
+    ----------
+    name, meaning : its key, and what it is, with the unit in brackets
+    source : function that returns (N,) numbers for N environments
+    """
+
+    name: str
+    meaning: str
+    source: Callable[[Observed], NDArray[np.float64]]
+
+
+_registered: list[InfoEntry] = []
+
+
+def info_entries() -> tuple[InfoEntry, ...]:
+    """Those that are registered."""
+    return tuple(_registered)
+
+
+def register_info(entry: InfoEntry) -> None:
+    """Add a number to ``info``, for all environments that are made from now on.
+
+    Raises
+    ------
+    InputError
+        The name is taken or no identifier, or the source is no function.
+    """
+    require_new("an entry of info", entry.name, {*INFO, *(other.name for other in _registered)})
+    if not callable(entry.source):
+        raise InputError(f"source of info.{entry.name} must be a function of Observed, got {entry.source!r}: give one")
+    _registered.append(entry)
+
+
+def withdraw_info(name: str) -> None:
+    """Remove a registered entry; environments that exist already still show it.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+    """
+    require_registered("entry of info", name, [entry.name for entry in _registered])
+    _registered[:] = [entry for entry in _registered if entry.name != name]

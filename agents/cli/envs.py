@@ -108,15 +108,26 @@ def facts(env: DrivingEnv) -> dict[str, Any]:
 def _details(env: DrivingEnv) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from lanebound.envs.info import INFO
-
     return {
         **facts(env),
         "config": env.config.to_dict(),
-        "index": [asdict(entry) | {"column": entry.column} for entry in env.observer.index],
-        "info": INFO,
+        "index": [
+            asdict(entry) | {"column": entry.column, "source": _source(entry.source)} for entry in env.observer.index
+        ],
+        "info": _info(),
         "cost_weights": _weights(env),
     }
+
+
+def _source(source: Any) -> str:
+    """The field that an entry shows, or ``module:function``."""
+    return source if isinstance(source, str) else f"{source.__module__}:{source.__qualname__}"
+
+
+def _info() -> dict[str, str]:
+    from lanebound.envs.info import INFO, info_entries
+
+    return INFO | {entry.name: entry.meaning for entry in info_entries()}
 
 
 def _weights(env: DrivingEnv) -> dict[str, float]:
@@ -136,7 +147,7 @@ def _show(env: DrivingEnv) -> None:
     own = [entry for entry in describe(env.config) if "." not in entry.path]
     print_table("Configuration, without its sections (see --json)", ("key", "value", "unit", "what it is"), _texts(own))
     print_table("Observation", ("flat", "entry", "unit", "scale", "bounds", "meaning"), _index(env))
-    print_table("Info", ("key", "meaning"), INFO.items())
+    print_table("Info", ("key", "meaning"), _info().items())
     print_table(
         f"Costs, limit {env.config.cost_limit:g} an episode",
         ("cause", "weight", "unweighted"),

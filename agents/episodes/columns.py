@@ -19,7 +19,7 @@ from lanebound.envs.records import EgoBelief
 from lanebound.envs.rewards import TERMS
 from lanebound.envs.truth import true_lead
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.presets import nearest, require_registered
+from lanebound.integrity.core.presets import nearest, require_new, require_registered
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode, RtkStatus
 
@@ -190,14 +190,17 @@ def register_column(column: Column) -> None:
     Raises
     ------
     InputError
-        The name is taken, or there is no such kind.
+        The name is taken or no identifier, there is no such kind, or no function to take it.
     """
-    if column.name in {other.name for other in columns()}:
-        raise InputError(f"name of a column must not be taken, got {column.name!r}: choose another")
+    require_new("a column", column.name, {other.name for other in columns()})
     if column.kind not in TYPES:
         raise InputError(
             f"kind of column {column.name!r} must be one of {', '.join(TYPES)}, got {column.kind!r}: "
             f"{nearest(column.kind, TYPES)}"
+        )
+    if not callable(column.take):
+        raise InputError(
+            f"take of column {column.name!r} must be a function of a Moment, got {column.take!r}: give one"
         )
     _registered.append(column)
 

@@ -29,7 +29,8 @@ from lanebound.envs.batch.records_kernel import CAR, EGO
 from lanebound.envs.batch.route_map import Reach, Routes
 from lanebound.envs.batch.sky_ahead_kernel import SkyAhead
 from lanebound.envs.config import EnvConfig
-from lanebound.envs.observation.index import Observed, entries, sources_of
+from lanebound.envs.info import info_entries
+from lanebound.envs.observation.index import Observed, Source, entries, sources_of
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records
@@ -80,6 +81,7 @@ class Episodes:
     path_of : (Q, L) row of the path from each lane, by ``ego["route"]``
     views : what observations are derived of
     frame : (N, E) float32, the newest observations
+    own_info : (N,) each, the newest numbers of ``info`` that plug-ins add, by name
     epoch_steps : simulation steps in an epoch; None with perfect positions and without sensing: there are no epochs
     """
 
@@ -99,6 +101,8 @@ class Episodes:
         self.index = entries(o)
         self._sources = sources_of(self.index)
         self._extra = [(place, entry) for place, entry in enumerate(self.index) if callable(entry.source)]
+        self._informs = info_entries()
+        self.own_info: dict[str, Array] = {entry.name: np.zeros(n) for entry in self._informs}
         self.ego: Records = np.zeros(n, EGO)
         self.motions: Records = np.zeros((n, 0), MOTION) if navigation is None else navigation.motions
         self._sensed = config.navigation.source.uses_sensors
@@ -129,7 +133,7 @@ class Episodes:
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """Those that have a row for each environment, but for what navigates."""
         views = self.views.preview, self.views.vehicles, self.views.sky, self.views.trail
-        return self.cars, self.ego, *views, self.frame, *self.perception.arrays
+        return self.cars, self.ego, *views, self.frame, *self.own_info.values(), *self.perception.arrays
 
     @property
     def nbytes(self) -> int:
@@ -238,22 +242,50 @@ class Episodes:
             self.table.lanes, self.routes.map, self.rules, self.views, ahead, self._sources, self.frame, start,
             row_us=CONCLUDE_US,
         )  # fmt: skip
-        if self._extra:
+        if self._extra or self._informs:
             self._fill_extra(rows)
 
     def _fill_extra(self, rows: Rows) -> None:
-        """Fill the entries whose sources are functions."""
+        """Fill the entries of observations and infos whose sources are functions."""
         v, e = self.views, self.ego[rows]
-        observed = Observed(e["shown"], e["own"], v.preview[rows], v.sky[rows], v.vehicles[rows])
+        observed = Observed(e["shown"], e["own"], v.preview[rows], v.sky[rows], v.vehicles[rows], self._states(rows))
         for place, entry in self._extra:
-            if callable(entry.source):
-                value = np.asarray(entry.source(observed), dtype=np.float64)
-                if value.shape != observed.belief.shape:
-                    raise InputError(
-                        f"source of entry {entry.column} must return one number for each environment, shape "
-                        f"{observed.belief.shape}, got shape {value.shape}: return an array of that shape"
-                    )
-                self.frame[rows, place] = np.clip(value / entry.scale, entry.low, entry.high)
+            value = _taken(f"entry {entry.column}", entry.source, observed)
+            self.frame[rows, place] = np.clip(value / entry.scale, entry.low, entry.high)
+        for told in self._informs:
+            self.own_info[told.name][rows] = _taken(f"info.{told.name}", told.source, observed)
+
+    def _states(self, rows: Rows) -> dict[str, NDArray[Any]]:
+        """The states (n,) of plug-in stages and modes of the egos."""
+        navigation = self.navigation
+        if navigation is None or not self._sensed:
+            return {}
+        states, at = navigation.navigator.state.extensions, navigation.at(rows)
+        return {name: state[at] for name, state in states.items()}
+
+
+def _taken(what: str, source: Source, observed: Observed) -> Array:
+    """What the function of an entry returns, (N,).
+
+    Raises
+    ------
+    InputError
+        It fails, or returns something else.
+    """
+    assert callable(source)
+    try:
+        value = np.asarray(source(observed), dtype=np.float64)
+    except Exception as exc:
+        raise InputError(
+            f"source of {what} must return one number for each environment, got {type(exc).__name__}: "
+            f"{exc}: correct the function"
+        ) from exc
+    if value.shape != observed.belief.shape:
+        raise InputError(
+            f"source of {what} must return one number for each environment, shape "
+            f"{observed.belief.shape}, got shape {value.shape}: return an array of that shape"
+        )
+    return value
 
 
 def _words(array: NDArray[Any], kind: Any) -> NDArray[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,12 +49,16 @@ def form_of(mask: NDArray[np.bool_]) -> tuple[Infos, Infos]:
     return dict.fromkeys(NAMES) | masks, dict.fromkeys(TERMS) | {f"_{name}": mask for name in TERMS}
 
 
-def infos_of(found: StepResult, form: tuple[Infos, Infos]) -> Infos:
-    """The info of environments: a :func:`form_of` them, which stays as it is, filled with arrays (N,)."""
+def infos_of(found: StepResult, form: tuple[Infos, Infos], own: Mapping[str, NDArray[np.float64]]) -> Infos:
+    """The info of environments: a :func:`form_of` them, which stays as it is, filled with arrays (N,); ``own`` of
+    plug-ins."""
     infos, terms = form[0].copy(), form[1].copy()
     infos.update(zip(NAMES, found.rest, strict=True))
     terms.update(zip(TERMS, found.terms, strict=True))
     infos["rewards"] = terms
+    for name, values in own.items():
+        mask = infos["_rewards"]
+        infos |= {name: np.where(mask, values, 0.0), f"_{name}": mask}
     return infos
 
 

@@ -18,7 +18,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from math import nan, pi
+from math import inf, nan, pi
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +29,7 @@ from lanebound.envs.batch.ego_kernel import STEERING_MOST_RAD
 from lanebound.envs.batch.records_kernel import BELIEF, EGO, VIEW
 from lanebound.envs.observation.config import ObservationConfig
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.presets import nearest, require_registered
+from lanebound.integrity.core.presets import nearest, require_new, require_registered
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode, RtkStatus
@@ -50,7 +50,8 @@ RTK_MORE = {
 class Observed(NamedTuple):
     """Inputs of the entries of N environments: records (N,) BELIEF and VIEW, (N, D) AHEAD, (N, R) BESIDE.
 
-    sky (N, 3 D): satellites predicted on the lanes left, own and right, negative for unknown.
+    sky (N, 3 D): satellites predicted on the lanes left, own and right, negative for unknown. states: records (N,) of
+    plug-in stages and modes of the egos' navigators, as ``"stage interference"`` or ``"mode inertial"``.
     """
 
     belief: Records
@@ -58,6 +59,7 @@ class Observed(NamedTuple):
     preview: Records
     sky: NDArray[np.float64]
     vehicles: Records
+    states: Mapping[str, NDArray[Any]]
 
 
 Source = str | Callable[[Observed], NDArray[np.float64]]
@@ -310,20 +312,26 @@ def register_entry(entry: Entry) -> None:
     Raises
     ------
     InputError
-        An unknown group or field, a name that is taken, or bounds or a scale out of range.
+        An unknown group or field, a name that is taken or no identifier, bounds or a scale out of range, or a source of
+        another kind.
     """
     if entry.group not in GROUPS:
         raise InputError(
             f"group must be one of {', '.join(GROUPS)}, got {entry.group!r}: {nearest(entry.group, GROUPS)}"
         )
-    if entry.column in {other.column for other in entries(ObservationConfig(vehicles=64))}:
-        raise InputError(f"name must not be taken, got {entry.column}: choose another")
-    if not (entry.scale > 0.0 and entry.low < entry.high):
+    taken = [other.name for other in entries(ObservationConfig(vehicles=64)) if other.group == entry.group]
+    require_new(f"an entry of {entry.group}", entry.name, taken)
+    if not (0.0 < entry.scale < inf and -inf < entry.low < entry.high < inf):
         raise InputError(
-            f"scale must be > 0 and low < high, got {entry.scale}, {entry.low}, {entry.high}: correct them"
+            f"scale must be > 0 and low < high, all finite, got {entry.scale}, {entry.low}, {entry.high}: correct them"
         )
     if isinstance(entry.source, str):
         _word_of(entry.source)
+    elif not callable(entry.source):
+        raise InputError(
+            f"source of entry {entry.column} must be the name of a field or a function, got {entry.source!r}: "
+            "write it as 'belief.speed_mps'"
+        )
     _registered.append(entry)
 
 
@@ -340,19 +348,40 @@ def withdraw_entry(column: str) -> None:
 
 
 def entries(config: ObservationConfig) -> tuple[Entry, ...]:
-    """Every entry of one observation, in the order of the flat form."""
+    """Every entry of one observation, in the order of the flat form.
+
+    Raises
+    ------
+    InputError
+        A registered entry shows a point or vehicle that this configuration does not have.
+    """
     return _entries(config, tuple(_registered), tuple(m.key for m in Mode))
 
 
 @lru_cache(maxsize=64)
 def _entries(config: ObservationConfig, registered: tuple[Entry, ...], modes: tuple[str, ...]) -> tuple[Entry, ...]:
     """:func:`entries`, with those that were registered; they depend on the registered modes as well."""
+    for entry in registered:
+        _require_shown(config, entry)
     out: list[Entry] = []
     for group in GROUPS:
         shown = DECLARED[group](config)
         hidden = group == "integrity" and not config.shows_levels
         out += shown if hidden else [*shown, *(entry for entry in registered if entry.group == group)]
     return tuple(out)
+
+
+def _require_shown(config: ObservationConfig, entry: Entry) -> None:
+    """Refuse an entry of a point, lane or vehicle beyond those of a configuration, which the kernel would read."""
+    found = SOURCE.fullmatch(entry.source) if isinstance(entry.source, str) else None
+    sizes = {"preview": len(config.preview_m), "sky": 3 * len(config.satellites_m), "vehicle": config.vehicles}
+    if found is None or found[1] not in sizes:
+        return
+    if int(found[2] or 0) >= sizes[found[1]]:
+        raise InputError(
+            f"source of entry {entry.column} must be among the {sizes[found[1]]} of {found[1]}, got {entry.source!r}: "
+            "count from 0, or make observation.preview_m, satellites_m or vehicles longer"
+        )
 
 
 def group_slices(config: ObservationConfig) -> dict[str, slice]:

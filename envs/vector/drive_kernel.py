@@ -3,9 +3,9 @@
 One entry kernel for each kind of traffic, so that only those that a configuration needs are compiled. After each step
 the beliefs of the egos are carried on; :class:`..batch.episodes.Episodes` completes an epoch.
 
-``kernel(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic)``: ``frames``
-steps, with which the policy step ``ends`` or not; codes (N,) of meta-actions to be taken up before, (0,) for none;
-drivers (N, V) DRIVER; the others as in :mod:`..batch.rows_kernel`.
+``kernel(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, rules, traffic)``: ``frames`` steps, with
+which the policy step ``ends`` or not; codes (N,) of meta-actions to be taken up before, (0,) for none; drivers (N, V)
+DRIVER; traffic: TrafficFigures; the others as in :mod:`..batch.rows_kernel`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.ego_kernel import decide, follow_road
+from lanebound.envs.batch.lanes_kernel import Lanes
 from lanebound.envs.batch.next_lane_kernel import keep_to_route
 from lanebound.envs.batch.records_kernel import GIVEN
 from lanebound.envs.batch.rows_kernel import carry_on
@@ -50,8 +51,8 @@ class TrafficFigures(NamedTuple):
 
     world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, S): prescribed speeds of other vehicles [m/s],
     by simulation step; wander (S, K) [m]: shapes over time of the others' lines in their lanes, by simulation step; idm
-    (1,) DRIVERS: of the others on a network of roads; roads: what it has beyond its lanes; before: simulation steps of
-    the traffic before an episode.
+    (1,) DRIVERS: of the others on a network of roads; lanes of the roads, and what they have beyond them; before:
+    simulation steps of the traffic before an episode.
     """
 
     world: Records
@@ -59,19 +60,17 @@ class TrafficFigures(NamedTuple):
     profile: NDArray[np.float64]
     wander: NDArray[np.float64]
     idm: Records
+    lanes: Lanes
     roads: Roads
     before: int
 
 
 @jit
-def run_course(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
+def run_course(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, rules, traffic):  # type: ignore[no-untyped-def]
     """Vehicles that drive profiles of speeds, or the ego alone."""
-    numbers, wholes = np.empty((NUMBERS, cars.shape[1])), np.empty((WHOLES, cars.shape[1]), np.int64)
-    for e in rows[first:last]:
-        here = cars[e, : egos[e].vehicles]
-        v = _begin(e, codes, here, drivers[e], egos[e], lanes, traffic, numbers, wholes)
-        _course(e, frames, v, here, egos[e], motions[e], lanes, rules[0], traffic)
-        _end(v, here, drivers[e], egos[e], lanes, rules[0], traffic.world[0], ends)
+    scratch = np.empty((NUMBERS, cars.shape[1])), np.empty((WHOLES, cars.shape[1]), np.int64)
+    for n in range(first, last):
+        _course(rows[n], frames, ends, codes, cars, drivers, egos, motions, rules[0], traffic, scratch)
 
 
 @jit(inline=True)
@@ -104,23 +103,26 @@ def _conclude(v, cars, ego, motions, lanes, rules, traffic, ends_epoch):  # type
 
 
 @jit(borrows=True)
-def _course(e, frames, v, cars, ego, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
-    """:func:`run_course` for environment e."""
-    world, dt = traffic.world[0], rules.step_s
+def _course(e, frames, ends, codes, cars, drivers, egos, motions, rules, traffic, scratch):  # type: ignore[no-untyped-def]
+    """:func:`run_course` for environment e; ``scratch``: for :func:`vehicles_in`."""
+    ego, world, lanes, dt = egos[e], traffic.world[0], traffic.lanes, rules.step_s
+    here = cars[e, : ego.vehicles]
+    v = _begin(e, codes, here, drivers[e], ego, lanes, traffic, *scratch)
     for frame in range(frames):
         steering, acceleration, hold = command_ego(ego, v, lanes, traffic.roads.routes, rules)
         move_ego(v, steering, acceleration, hold, world, lanes, dt)
         ego.score.steps += 1
         wander_all(v, traffic.wander[min(ego.score.steps, traffic.wander.shape[0] - 1)], dt)
         drive_profiles(v, lanes, traffic.profile[e], ego.score.steps, dt)
-        collide_all(v, cars.shape[0], 0, dt)
-        _conclude(v, cars, ego, motions, lanes, rules, traffic, frame + 1 == frames)
+        collide_all(v, here.shape[0], 0, dt)
+        _conclude(v, here, ego, motions[e], lanes, rules, traffic, frame + 1 == frames)
+    _end(v, here, drivers[e], ego, lanes, rules, world, ends)
 
 
 @jit
-def run_motorway(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
+def run_motorway(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, rules, traffic):  # type: ignore[no-untyped-def]
     """The drivers of a straight motorway."""
-    vehicles = cars.shape[1]
+    vehicles, lanes = cars.shape[1], traffic.lanes
     numbers, wholes = np.empty((NUMBERS, vehicles)), np.empty((WHOLES, vehicles), np.int64)
     newest, held = np.empty(lanes.table.shape[0] + 1, np.int64), np.empty((2, vehicles), np.int64)
     pairs = np.empty(vehicles * vehicles // 2 + 1, np.int64)
@@ -158,9 +160,9 @@ def _motorway(frames, v, cars, ego, motions, lanes, rules, traffic, scratch):  #
 
 
 @jit
-def run_network(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
+def run_network(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, rules, traffic):  # type: ignore[no-untyped-def]
     """The drivers of a network of roads."""
-    places = cars.shape[1] + traffic.roads.objects.shape[0]
+    places, lanes = cars.shape[1] + traffic.roads.objects.shape[0], traffic.lanes
     numbers, wholes = np.empty((NUMBERS, places)), np.empty((WHOLES, places), np.int64)
     stations, order = np.empty((places, lanes.table.shape[0])), np.empty(places, np.int64)
     for e in rows[first:last]:

@@ -59,7 +59,14 @@ class Stage:
         profile = np.zeros((len(episodes.cars), engine.support.profile_steps(engine.single.world)))
         self.episodes, self.drivers = episodes, np.zeros(episodes.cars.shape, DRIVER)
         self.traffic = TrafficFigures(
-            engine.world, engine.speeds, profile, engine.wander, engine.idm, engine.roads, engine.before
+            engine.world,
+            engine.speeds,
+            profile,
+            engine.wander,
+            engine.idm,
+            episodes.table.lanes,
+            engine.roads,
+            engine.before,
         )
         self.turnover = Turnover(engine, episodes)
 
@@ -305,7 +312,7 @@ class Engine:
         e, stage = self.episodes, self._stage
         run_rows(
             self._kernel, rows.size, rows, frames, ends, codes, e.cars, stage.drivers, e.ego, e.motions,
-            e.table.lanes, e.rules, stage.traffic, row_us=VEHICLE_FRAME_US * frames * e.cars.shape[1],
+            e.rules, stage.traffic, row_us=VEHICLE_FRAME_US * frames * e.cars.shape[1],
         )  # fmt: skip
 
     def _take_up(self, actions: NDArray[Any]) -> None:

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from lanebound.envs.batch.infos import form_of, infos_of, results
+from lanebound.envs.batch.infos import StepResult, form_of, infos_of, results
 from lanebound.envs.core import OPTIONS, DrivingEnv, faults_in
 from lanebound.envs.ids import Preset, has_engine, id_of, presets, refuse_misplaced
 from lanebound.envs.registration import wrap
@@ -131,7 +131,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
                              "reset all of them first")  # fmt: skip
         rows = np.flatnonzero(mask)
         self._restart(rows, [seeds[e] for e in rows.tolist()], [faults[e] for e in rows.tolist()])
-        return self._observations(), infos_of(results(self.engine.outcome, mask), form_of(mask))
+        return self._observations(), self._infos(results(self.engine.outcome, mask), form_of(mask))
 
     def step(self, actions: Any) -> tuple[Observations, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
         """Carry out a command in each environment until the next decision.
@@ -161,7 +161,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             final = self._final(ended, self._over.copy())
             self._restart(ended, [None] * ended.size)
             latest = results(self.engine.outcome)
-        infos = infos_of(latest, self._form)
+        infos = self._infos(latest, self._form)
         infos |= final
         return self._observations(), found.rewards, found.terminated, found.truncated, infos
 
@@ -205,10 +205,13 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         last = self._observations()
         for e in ended:
             observations[e] = {g: part[e] for g, part in last.items()} if isinstance(last, dict) else last[e]
-        info = infos_of(results(self.engine.outcome, mask), form_of(mask))
+        info = self._infos(results(self.engine.outcome, mask), form_of(mask))
         return {"final_obs": observations, "_final_obs": mask, "final_info": info, "_final_info": mask}
 
     # Forms
+
+    def _infos(self, found: StepResult, form: tuple[dict[str, Any], dict[str, Any]]) -> dict[str, Any]:
+        return infos_of(found, form, self.engine.episodes.own_info)
 
     def _observations(self) -> Observations:
         """Of all environments, a copy."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import DiscreteAction
+from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Landmark
 
 from lanebound.envs.batch.episodes import empty_cars
@@ -21,21 +22,24 @@ from lanebound.envs.vector.drive_kernel import run_course, run_motorway, run_net
 from lanebound.envs.vector.network_kernel import DRIVERS, Roads
 from lanebound.envs.worlds import Support, world_kind, world_kinds
 from lanebound.envs.worlds.crossing import CrossingRoad, ways_through
+from lanebound.envs.worlds.drivers import CityDriver, IntersectionDriver, LeadVehicle
 from lanebound.envs.worlds.idm_parameters_kernel import BRISK, CALM, IdmParameters, idm_parameters
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import nearest
 from lanebound.integrity.core.records import Records, one_record
 
 __all__ = ["drivers_of", "newcomers_of", "require_supported", "roads_of", "support_of", "traffic_of"]
 
 INSTEAD = "or make the same environments with vectorization_mode='sync' or 'async', for SB3 as DummyVecEnv"
-TRAFFIC: dict[str, tuple[Any, IdmParameters | None]] = {
-    "course": (run_course, None),
-    "city": (run_network, CALM),
-    "network": (run_network, BRISK),
-    "crossing": (run_network, None),  # highway-env's intersection gives its drivers parameters when it is made
-    "motorway": (run_motorway, BRISK),
+TRAFFIC: dict[str, tuple[Any, type, IdmParameters | None]] = {
+    "course": (run_course, LeadVehicle, None),
+    "city": (run_network, CityDriver, CALM),
+    "network": (run_network, IDMVehicle, BRISK),
+    # highway-env's intersection gives its drivers parameters when it is made
+    "crossing": (run_network, IntersectionDriver, None),
+    "motorway": (run_motorway, IDMVehicle, BRISK),
 }
-"""Kinds of compiled traffic: entry kernel, and the parameters that the drivers of the world must have."""
+"""Kinds of compiled traffic: entry kernel, class whose drivers it moves, and the parameters that they must have."""
 
 
 def support_of(config: EnvConfig) -> Support:
@@ -61,17 +65,28 @@ def newcomers_of(config: EnvConfig, support: Support) -> int:
 
 
 def traffic_of(support: Support) -> Any:
-    """The entry kernel of a world's traffic."""
+    """The entry kernel of a world's traffic.
+
+    Raises
+    ------
+    ConfigError
+        There is no such traffic.
+    """
     if ":" in support.traffic:
         module, _, name = support.traffic.partition(":")
         return getattr(import_module(module), name)
+    if support.traffic not in TRAFFIC:
+        raise ConfigError(
+            f"traffic of a world must be one of {', '.join(TRAFFIC)}, or package.module:kernel, got "
+            f"{support.traffic!r}: {nearest(support.traffic, TRAFFIC)}"
+        )
     return TRAFFIC[support.traffic][0]
 
 
 def drivers_of(support: Support, world: AbstractEnv) -> Records:
     """Parameters of the other drivers on a network of roads, (1,) DRIVERS; zeros where there are none."""
     kind: Any = support.drivers
-    if kind is None:
+    if kind is None or not issubclass(kind, IDMVehicle):
         return np.zeros(1, DRIVERS)
     idm = idm_parameters(
         kind.DISTANCE_WANTED, kind.TIME_WANTED, kind.COMFORT_ACC_MAX, -kind.COMFORT_ACC_MIN, kind.LANE_CHANGE_DELAY,
@@ -141,9 +156,9 @@ def require_supported(single: DrivingEnv) -> None:
         raise _refusal("base", "a world without a goal, or whose support declares it", config.base)
     for name, allowed, value in support.refusals(world):
         raise _refusal(name, allowed, value)
-    idm = TRAFFIC.get(support.traffic, (None, None))[1]
-    if support.drivers is not None and idm is not None:
-        _require_drivers(support.drivers, idm)
+    traffic_of(support)  # refuses an unknown one
+    if support.drivers is not None and support.traffic in TRAFFIC:
+        _require_drivers(support.drivers, *TRAFFIC[support.traffic][1:], support.traffic)
     if world.config.get("vehicles_count", 0) > config.slots:
         raise _refusal("world.vehicles_count", f"at most slots = {config.slots}", world.config["vehicles_count"])
     if (others := support.vehicles(world) - 1) > config.slots:
@@ -162,8 +177,17 @@ def _require_sources(config: EnvConfig) -> None:
         )
 
 
-def _require_drivers(kind: type, idm: IdmParameters) -> None:
-    """Refuse drivers whose parameters are not the compiled ones: highway-env's intersection changes class constants."""
+def _require_drivers(kind: type, moved: type, idm: IdmParameters | None, traffic: str) -> None:
+    """Refuse drivers that are not compiled: of another class than the traffic moves, with methods of their own, or with
+    other parameters, as highway-env's intersection changes class constants."""
+    if not issubclass(kind, moved):
+        raise _refusal("OTHERS of the world", f"{moved.__name__}, which the traffic {traffic!r} moves,", kind.__name__)
+    for known in kind.__mro__[: kind.__mro__.index(moved)]:
+        for name, value in vars(known).items():
+            if callable(value) and not name.startswith("__"):
+                raise _refusal(f"{known.__name__}.{name}", f"that of {moved.__name__}", "a method of its own")
+    if idm is None:
+        return
     figures = {
         "DISTANCE_WANTED": idm.gap_m, "COMFORT_ACC_MAX": idm.comfort, "COMFORT_ACC_MIN": -idm.deceleration,
         "TIME_WANTED": idm.headway_s, "LANE_CHANGE_DELAY": idm.delay_s, "LANE_CHANGE_MIN_ACC_GAIN": idm.gain,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.drivers import LeadVehicle
-from lanebound.envs.worlds.kinds import Starter, Support
+from lanebound.envs.worlds.kinds import Refusal, Starter, Support
 from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.envs.worlds.networks import Section, StreetNetwork
 from lanebound.envs.worlds.roads import StreetRoad
@@ -41,6 +41,12 @@ CONTINUOUS: dict[str, Any] = {
 META: dict[str, Any] = {"type": "DiscreteMetaAction", "target_speeds": TARGET_SPEEDS_MPS}
 
 
+OF_ENGINE = ("step", "_simulate", "_populate", "_reward", "_rewards", "_is_terminated", "_is_truncated")
+"""Methods that the engine has compiled as they are in :class:`World`."""
+OF_HIGHWAY_ENV = ("crossing", "motorway")
+"""Kinds of traffic that need roads of highway-env."""
+
+
 class Seat(NamedTuple):
     """Initial state of a vehicle in an episode: lane, longitudinal position, speed, and parameters of its driver.
 
@@ -60,8 +66,9 @@ class World(AbstractEnv):  # type: ignore[misc]
     """A highway-env scenario on a road of this package.
 
     A subclass creates the road (``_network``) and draws the initial states of an episode (``draw_seats``). ``OTHERS``
-    is the class of the other vehicles, ``TRAFFIC`` the kind of traffic of the vector engine, ``ENDS_M`` the distance
-    from the end of the road at which an episode ends (None for roads without an end).
+    is the class of the other vehicles, ``TRAFFIC`` the traffic of the vector engine that moves them (``course``:
+    LeadVehicle, ``city``: CityDriver, ``network``: IDMVehicle), ``most_vehicles`` their largest number with the ego,
+    ``ENDS_M`` the distance from the end of the road at which an episode ends (None for roads without an end).
 
     Action
         As in highway-env, set by ``config["action"]``: ``ContinuousAction`` (acceleration within 6 m/s2, steering
@@ -112,7 +119,10 @@ class World(AbstractEnv):  # type: ignore[misc]
         raise NotImplementedError
 
     def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
-        """Draw the initial states of an episode, the ego first, and the speed profile of the others, if any."""
+        """Draw the initial states of an episode, the ego first, and the speed profile of the others, if any.
+
+        A profile has a speed for each simulation step, see :func:`~.drivers.speed_profile`; LeadVehicle needs one.
+        """
         raise NotImplementedError
 
     @classmethod
@@ -122,7 +132,7 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     def _populate(self) -> None:
         """Place the ego and the others."""
-        (ego, *others), speeds = self.draw_seats(self.np_random)
+        (ego, *others), speeds = drawn_seats(self, self.np_random)
         self._place_ego(ego.lane_index, ego.along_m, ego.speed_mps)
         for seat in others:
             driver: Any = self.OTHERS.make_on_lane(self.road, seat.lane_index, seat.along_m, seat.speed_mps)
@@ -208,7 +218,7 @@ class World(AbstractEnv):  # type: ignore[misc]
             ends=cls._ends,
             profile_steps=cls._profile_steps,
             refusals=cls._refusals,
-            drivers=cls.OTHERS if issubclass(cls.OTHERS, IDMVehicle) else None,
+            drivers=cls.OTHERS,
         )
 
     @staticmethod
@@ -233,10 +243,44 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     @staticmethod
     def _refusals(world: AbstractEnv) -> list[tuple[str, str, object]]:
-        """Options that the engine does not support."""
-        name = "neighbour_vehicles_connected_lanes"
-        joined = world.TRAFFIC != "city" or bool(world.config[name])
-        return [] if joined else [(f"world.{name}", "True", False)]
+        """Options that the engine does not support, and rules of a subclass that it does not know."""
+        kind, name = type(world), "neighbour_vehicles_connected_lanes"
+        found: list[Refusal] = []
+        if world.TRAFFIC == "city" and not world.config[name]:
+            found.append((f"world.{name}", "True", False))
+        if world.TRAFFIC in OF_HIGHWAY_ENV:
+            found.append(("TRAFFIC of the world", "course, city or network", world.TRAFFIC))
+        of_world = "that of World, without a support of your own,"
+        for method in OF_ENGINE:
+            if getattr(kind, method) is not getattr(World, method):
+                found.append((f"{kind.__name__}.{method}", of_world, "a method of its own"))
+        return found
+
+
+def drawn_seats(world: World, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
+    """What :meth:`World.draw_seats` returns.
+
+    Raises
+    ------
+    InputError
+        There is none, there are more than ``most_vehicles``, one is on no lane, or lead vehicles have no speeds.
+    """
+    seats, speeds = world.draw_seats(rng)
+    name, most = type(world).__name__, world.most_vehicles(world.config)
+    if not seats:
+        raise InputError(f"{name}.draw_seats must return the seat of the ego first, got no seats: add it")
+    if len(seats) > most:
+        raise InputError(f"{name}.most_vehicles must be {len(seats)} at least, got {most}: correct it in the world")
+    for seat in seats:
+        start, end, lane = seat.lane_index
+        if lane not in range(len(world.road.network.graph.get(start, {}).get(end, ()))):
+            raise InputError(f"seats of {name} must be on lanes of its network, got {seat.lane_index}: correct it")
+    if speeds is None and len(seats) > 1 and issubclass(world.OTHERS, LeadVehicle):
+        raise InputError(
+            f"{name}.draw_seats must return a speed profile for {world.OTHERS.__name__}, got None: return "
+            "(seats, speed_profile(rng, ...)), or set OTHERS and TRAFFIC to other drivers"
+        )
+    return seats, speeds
 
 
 def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
@@ -244,9 +288,7 @@ def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
     network, delay = world.road.network, getattr(world.OTHERS, "LANE_CHANGE_DELAY", 1.0)
 
     def start(rng: np.random.Generator, cars: Records, drivers: Records, profile: Array) -> int:
-        seats, speeds = world.draw_seats(rng)
-        if len(seats) > len(cars):
-            raise InputError(f"most_vehicles must be {len(seats)} at least, got {len(cars)}: correct it in the world")
+        seats, speeds = drawn_seats(world, rng)
         if speeds is not None:
             profile[:] = speeds
         for car, driver, seat in zip(cars, drivers, seats, strict=False):  # cars beyond the seats are empty places

@@ -63,7 +63,7 @@ class Support:
     ends : fields of the record WORLD: end rules and the reward of the world
     profile_steps : length of the speed profile of other vehicles, 1 for none
     refusals : options of the world that the engine does not have
-    drivers : class of the other vehicles, whose constants must equal those of the kind of traffic
+    drivers : class of the other vehicles, whose methods and constants must be those of the kind of traffic
     plans : routes that the vehicles may have
     effort : what the world's own reward takes of actions (N, ...) -> (N,); None for nothing
     before : simulation steps of the traffic before an episode
@@ -114,10 +114,14 @@ def register_world(kind: WorldKind) -> None:
     Raises
     ------
     InputError
-        The name is taken.
+        The name is taken, the world is no world of highway-env, or its support is no function.
     """
     if kind.name in _kinds:
         raise InputError(f"name of a world must not be taken, got {kind.name!r}: choose another")
+    if kind.world is not None and not (isinstance(kind.world, type) and issubclass(kind.world, AbstractEnv)):
+        raise InputError(f"world of {kind.name!r} must be a subclass of World, got {kind.world!r}: pass its class")
+    if kind.support is not None and not callable(kind.support):
+        raise InputError(f"support of {kind.name!r} must be a function, got {kind.support!r}: pass MyWorld.support")
     _kinds[kind.name] = kind
 
 

@@ -91,8 +91,10 @@ class OpenAdvice(_Coded, metaclass=_Table):
         Raises
         ------
         InputError
-            The name is known with another advice.
+            The name is no identifier, or known with another advice.
         """
+        if not name.isidentifier():
+            raise InputError(f"name of {cls.__name__} must be an identifier, got {name!r}: write it as clock_jump")
         name = name.upper()
         known = cls.members.get(name)
         if known is not None:

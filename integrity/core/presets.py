@@ -17,7 +17,7 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 
 __all__ = [
     "FILES", "about_preset", "deep_merge", "load_file", "load_preset", "mapping_of", "nearest", "parse_assignments",
-    "parse_yaml", "preset_names", "preset_values", "require_registered",
+    "parse_yaml", "preset_names", "preset_values", "require_new", "require_registered",
 ]  # fmt: skip
 
 PRESET_PACKAGE = "lanebound.configs"
@@ -52,6 +52,20 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def _bare(name: str) -> str:
     """A name without what stands before its last slash, and without its version."""
     return VERSION.sub("", name.rpartition("/")[2]) or name
+
+
+def require_new(what: str, name: str, taken: Collection[str]) -> None:
+    """Refuse a name for an extension that is taken, or that is no identifier: names stand in keys, entries and logs.
+
+    Raises
+    ------
+    InputError
+        ``name`` is among ``taken``, or has other characters than letters, digits and underscores.
+    """
+    if not isinstance(name, str) or not name.isidentifier():
+        raise InputError(f"name of {what} must be an identifier, got {name!r}: write it as clock_jump")
+    if name in taken:
+        raise InputError(f"name of {what} must not be taken, got {name!r}: choose another")
 
 
 def require_registered(what: str, name: str, registered: Iterable[str]) -> None:

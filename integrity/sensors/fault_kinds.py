@@ -183,7 +183,8 @@ class FaultKind:
     Raises
     ------
     ConfigError
-        A name that is no identifier, a size beyond its bounds, or neither sizes to try nor a reason to omit them.
+        A name that is no identifier, a function, target or profiles of another kind, a size beyond its bounds, or
+        neither sizes to try nor a reason to omit them.
     """
 
     name: str
@@ -206,6 +207,15 @@ class FaultKind:
         for wrong, message in (
             (not self.name.isidentifier(), f"name must be an identifier, got {self.name!r}: write it as clock_jump"),
             (not self.summary, "summary must say what the fault does, got nothing: the docs print it"),
+            (not callable(self.apply), f"apply must be a function of effects and moment, got {self.apply!r}: give one"),
+            (
+                not isinstance(self.target, FaultTarget),
+                f"target must be a FaultTarget, got {self.target!r}: write FaultTarget.SATELLITE",
+            ),
+            (
+                not isinstance(self.profiles, tuple) or not set(self.profiles) <= {"step", "ramp"},
+                f"profiles must be a tuple of 'step' and 'ramp', got {self.profiles!r}: correct it",
+            ),
             ("step" not in self.profiles, f"profiles must contain 'step', got {self.profiles}: add it"),
             (not set(self.needs) <= set(PLACES), f"needs must be of {', '.join(PLACES)}, got {self.needs}: correct it"),
         ):
@@ -229,6 +239,9 @@ class FaultKind:
         for size in tried:
             if of is not None and (size == 0.0 or not of.admits(size)):
                 raise ConfigError(f"fault kind {self.name!r}: sizes_tried must be {of.bounds} and not 0, got {size:g}")
+        for name, size in (("low", self.prior.low), ("high", self.prior.high)) if self.prior.per_h > 0.0 else ():
+            if of is not None and not of.admits(size):
+                raise ConfigError(f"fault kind {self.name!r}: prior.{name} must be {of.bounds}, got {size:g}")
 
     @property
     def magnitude(self) -> Magnitude | None:

@@ -6,7 +6,7 @@ The kinds are declared in :mod:`.fault_registry`; :func:`~.fault_registry.regist
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.fault_kinds import MAGNITUDE_FIELDS, FaultKind, FaultMoment, Magnitude, Profile
 from lanebound.integrity.sensors.fault_registry import KindName, fault_kind
@@ -142,11 +143,23 @@ def _remedy(of: Mapping[str, Magnitude]) -> str:
 
 
 def add_effects(effects: FaultEffects, acting: Sequence[Fault], time_s: float, dt_s: float, sky: SkyView) -> None:
-    """Add those of faults that act on the epoch of length ``dt_s`` that ends at ``time_s``, in place."""
+    """Add those of faults that act on the epoch of length ``dt_s`` that ends at ``time_s``, in place.
+
+    Raises
+    ------
+    InputError
+        The function of a kind returns its effects.
+    """
     for fault in acting:
         rows = slice(None) if fault.vehicle is None else slice(fault.vehicle, fault.vehicle + 1)
         level, growth = fault.level(time_s), fault.growth_per_s(time_s)
-        fault.declaration.apply(effects, FaultMoment(fault, time_s, dt_s, sky, rows, level, growth))
+        apply: Callable[..., object] = fault.declaration.apply
+        found = apply(effects, FaultMoment(fault, time_s, dt_s, sky, rows, level, growth))
+        if found is not None:
+            raise InputError(
+                f"apply of fault kind {fault.kind!r} must change the effects in place and return nothing, got "
+                f"{type(found).__name__}: write effects.code_bias_m[now.rows] += ..."
+            )
 
 
 class FaultSchedule:

@@ -455,8 +455,9 @@ def observe(
     signals, vehicles = np.empty((batch, n_sat), OBSERVED_SIGNAL), np.zeros(batch, OBSERVED_VEHICLE)
     vehicles["sight"], vehicles["age"], vehicles["next_best"] = sky.index, age_s, effects.next_best
     gk.observe(
-        gnss_parameters(config, truth.dt_s), area.site, area.memory, message, state.vehicles, state.signals, draws,
-        sky.rows, reception.records, truth.records, effects.signals, effects.vehicles, signals, vehicles,
+        gnss_parameters(config, truth.dt_s), area.site, area.memory,
+        gk.Receiver(state.vehicles, state.signals, message), draws, sky.rows, reception.records, truth.records,
+        gk.Effects(effects.signals, effects.vehicles), gk.Observed(signals, vehicles),
     )  # fmt: skip
     return gnss_epoch(signals, vehicles)
 

@@ -37,6 +37,9 @@ __all__ = [
     "STATION",
     "STATION_NOISE",
     "UNIFORMS",
+    "Effects",
+    "Observed",
+    "Receiver",
     "ReceiverDraws",
     "observe",
     "observe_vehicle",
@@ -163,6 +166,29 @@ class ReceiverDraws(NamedTuple):
     uniforms: Records
     near: Records
     clock: NDArray[np.float64]
+
+
+class Receiver(NamedTuple):
+    """What lasts of receivers (...): clock of RECEIVER; signals (..., S) of SIGNAL; held (..., S) of STATION, the
+    message held."""
+
+    clock: Records
+    signals: Records
+    held: Records
+
+
+class Effects(NamedTuple):
+    """Effects of faults: signals (..., S) of SIGNAL_EFFECTS, vehicles (...) of VEHICLE_EFFECTS."""
+
+    signals: Records
+    vehicles: Records
+
+
+class Observed(NamedTuple):
+    """What vehicles (...) measure: signals (..., S) of OBSERVED_SIGNAL, vehicles of OBSERVED_VEHICLE."""
+
+    signals: Records
+    vehicles: Records
 
 
 class _Path(NamedTuple):
@@ -364,24 +390,24 @@ def by_paths(rules, reception, way, system, u, signal, work):  # type: ignore[no
 
 
 @jit(borrows=True)
-def observe_vehicle(  # type: ignore[no-untyped-def]
-    rules, site, slows, held, receiver, memory, draws, sky, reception, truth, effects, moved, signals, vehicle, work
-):  # fmt: skip
+def observe_vehicle(rules, site, slows, own, draws, sky, reception, truth, of_faults, observed, work):  # type: ignore[no-untyped-def]
     """Advance the receiver of a vehicle and fill what it observes of S satellites.
 
     Entries of untracked signals are 0. Those tracked describe the position plus the spoofing.
 
     Parameters
     ----------
-    rules, site, slows, held : GNSS_RULES; SITE and (S,) of SLOW of the area; (S,) of STATION, the message held
-    receiver, memory, draws : RECEIVER and (S,) of SIGNAL, which advance by ReceiverDraws
+    rules, site, slows : GNSS_RULES; SITE and (S,) of SLOW of the area
+    own, draws : Receiver, whose clock and signals advance by ReceiverDraws
     sky : SatelliteRows
     reception : (S,) of RECEPTION, how each signal arrives; its path becomes what is tracked
     truth : TRUTH of the antenna
-    effects, moved : (S,) of SIGNAL_EFFECTS, and VEHICLE_EFFECTS
-    signals, vehicle : (S,) of OBSERVED_SIGNAL, filled, and OBSERVED_VEHICLE, whose sight and age are read
+    of_faults, observed : Effects; Observed, whose signals are filled, and of whose vehicle sight and age are read
     work : WORK, scratch
     """
+    receiver, memory, held = own
+    effects, moved = of_faults
+    signals, vehicle = observed
     los, above = sky.los[vehicle.sight], sky.above[vehicle.sight]
     used_age = vehicle.age if vehicle.age < 1e6 else 0.0
     vx, vy, vz = truth.velocity[0], truth.velocity[1], truth.velocity[2]
@@ -438,15 +464,14 @@ def observe_vehicle(  # type: ignore[no-untyped-def]
 
 
 @jit
-def observe(  # type: ignore[no-untyped-def]
-    rules, sites, slows, held, receivers, memories, draws, sky, reception, truths, effects, moved, signals, vehicles
-):  # fmt: skip
+def observe(rules, sites, slows, receivers, draws, sky, reception, truths, effects, observed):  # type: ignore[no-untyped-def]
     """:func:`observe_vehicle` for B vehicles in A areas, A is 1 or B: a row for each, rules (1,)."""
     work = np.zeros(1, WORK)
-    for v in range(vehicles.shape[0]):
+    for v in range(truths.shape[0]):
         a = v % sites.shape[0]
-        own = ReceiverDraws(draws.normals[v], draws.uniforms[v], draws.near[v], draws.clock[v])
         observe_vehicle(
-            rules[0], sites[a], slows[a], held[v], receivers[v], memories[v], own, sky, reception[v], truths[v],
-            effects[v], moved[v], signals[v], vehicles[v], work[0],
+            rules[0], sites[a], slows[a], Receiver(receivers.clock[v], receivers.signals[v], receivers.held[v]),
+            ReceiverDraws(draws.normals[v], draws.uniforms[v], draws.near[v], draws.clock[v]), sky, reception[v],
+            truths[v], Effects(effects.signals[v], effects.vehicles[v]),
+            Observed(observed.signals[v], observed.vehicles[v]), work[0],
         )  # fmt: skip

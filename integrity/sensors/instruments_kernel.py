@@ -13,7 +13,16 @@ from lanebound.integrity.sensors import imu_kernel, odometer_kernel
 from lanebound.integrity.sensors.arrival_kernel import WORK
 from lanebound.integrity.sensors.corrections_kernel import LINK_RULES, receive
 from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_uniforms
-from lanebound.integrity.sensors.gnss_kernel import GNSS_RULES, NORMALS, UNIFORMS, ReceiverDraws, observe_vehicle
+from lanebound.integrity.sensors.gnss_kernel import (
+    GNSS_RULES,
+    NORMALS,
+    UNIFORMS,
+    Effects,
+    Observed,
+    Receiver,
+    ReceiverDraws,
+    observe_vehicle,
+)
 from lanebound.integrity.sensors.imu_kernel import IMU_RULES
 from lanebound.integrity.sensors.near_objects_kernel import NEAR
 from lanebound.integrity.sensors.odometer_kernel import ODOMETER_RULES
@@ -61,6 +70,15 @@ class Sensors(NamedTuple):
     signals: Records
     inertial: Records
     wheels: Records
+
+
+class SensingScratch(NamedTuple):
+    """Scratch of :func:`sense`: cells and reception (S,) of the satellites, a row (W,) of draws, work (1,) WORK."""
+
+    cells: Records
+    reception: Records
+    row: NDArray[np.float64]
+    work: Records
 
 
 @jit
@@ -112,9 +130,7 @@ def draw_jointly(rules, draws, satellites):  # type: ignore[no-untyped-def]
 
 
 @jit
-def sense(  # type: ignore[no-untyped-def]
-    first, last, epoch, rules, areas, sensors, draws, mask, sky, truths, effects, moved, signals, vehicles
-):  # fmt: skip
+def sense(first, last, epoch, rules, areas, sensors, draws, mask, sky, truths, effects, observed):  # type: ignore[no-untyped-def]
     """Measure vehicles ``first`` to ``last - 1`` of B, whose sensors advance.
 
     Parameters
@@ -123,34 +139,43 @@ def sense(  # type: ignore[no-untyped-def]
     rules, areas, sensors : (1,) of INSTRUMENT_RULES; Areas, A is 1 or B; Sensors
     draws : Draws of DRAWN_STREAMS; vehicles with one generator for all have drawn before
     mask, sky : MaskRows and SatelliteRows
-    truths, effects, moved : (B,) of TRUTH, (B, S) of SIGNAL_EFFECTS and (B,) of VEHICLE_EFFECTS
-    signals, vehicles : (B, S) of OBSERVED_SIGNAL and (B,) of OBSERVED_VEHICLE, filled but for its sight, which is read
+    truths, effects : (B,) of TRUTH; Effects
+    observed : Observed, filled but for the sight, which is read
     """
-    par, satellites, latest = rules[0], signals.shape[1], -1
+    vehicles, satellites, latest = observed.vehicles, observed.signals.shape[1], -1
     cells, reception = np.empty(satellites, np.int64), np.empty(satellites, RECEPTION)
-    row, work = np.empty(draw_width(satellites)), np.zeros(1, WORK)
+    scratch = SensingScratch(cells, reception, np.empty(draw_width(satellites)), np.zeros(1, WORK))
     for v in range(first, last):
-        a, k, truth, out = v % areas.sites.shape[0], vehicles[v].sight, truths[v], vehicles[v]
-        if draws.drawn.shape[0] > 0:
-            row = draws.drawn[v]
-        else:
-            draw_first(v, par, draws, row, satellites)
-            draw_rest(v, par, draws, row, satellites)
-        normals, uniforms, near, own = split(row, satellites)
-        z = own.view(VEHICLE_DRAWS)[0]
+        k = vehicles[v].sight
         if k != latest:
             find_cells(mask.rules[0], sky.azimuth[k], sky.elevation[k], cells)
             latest = k
-        look_up(mask, cells, truth.arc, truth.lane, reception)
-        out.age = receive(
-            epoch, par.link, areas.networks[a], areas.message[a], z.outage, z.outage_length, moved[v].corrections_lost,
-            sensors.links[v], sensors.held[v],
-        )  # fmt: skip
-        observe_vehicle(
-            par.gnss, areas.sites[a], areas.slow[a], sensors.held[v], sensors.receivers[v], sensors.signals[v],
-            ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), sky,
-            reception, truth, effects[v], moved[v], signals[v], out, work[0],
-        )  # fmt: skip
-        imu_kernel.measure(par.imu, sensors.inertial[v], z.imu, truth, moved[v].gyro_bias_radps, out)
-        odometer_kernel.measure(par.odometer, sensors.wheels[v], z.odometer, truth.distance, moved[v], out)
-        out.next_best[0], out.next_best[1] = moved[v].next_best[0], moved[v].next_best[1]
+        sense_vehicle(v, epoch, rules[0], areas, sensors, draws, mask, sky, truths[v], effects, observed, scratch)
+
+
+@jit(borrows=True)
+def sense_vehicle(v, epoch, par, areas, sensors, draws, mask, sky, truth, effects, observed, scratch):  # type: ignore[no-untyped-def]
+    """:func:`sense` for vehicle v, whose satellites stand in ``scratch.cells``."""
+    moved, out, satellites = effects.vehicles[v], observed.vehicles[v], observed.signals.shape[1]
+    a, row = v % areas.sites.shape[0], scratch.row
+    if draws.drawn.shape[0] > 0:
+        row = draws.drawn[v]
+    else:
+        draw_first(v, par, draws, row, satellites)
+        draw_rest(v, par, draws, row, satellites)
+    normals, uniforms, near, own = split(row, satellites)
+    z = own.view(VEHICLE_DRAWS)[0]
+    look_up(mask, scratch.cells, truth.arc, truth.lane, scratch.reception)
+    out.age = receive(
+        epoch, par.link, areas.networks[a], areas.message[a], z.outage, z.outage_length, moved.corrections_lost,
+        sensors.links[v], sensors.held[v],
+    )  # fmt: skip
+    observe_vehicle(
+        par.gnss, areas.sites[a], areas.slow[a],
+        Receiver(sensors.receivers[v], sensors.signals[v], sensors.held[v]),
+        ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), sky, scratch.reception,
+        truth, Effects(effects.signals[v], moved), Observed(observed.signals[v], out), scratch.work[0],
+    )  # fmt: skip
+    imu_kernel.measure(par.imu, sensors.inertial[v], z.imu, truth, moved.gyro_bias_radps, out)
+    odometer_kernel.measure(par.odometer, sensors.wheels[v], z.odometer, truth.distance, moved, out)
+    out.next_best[0], out.next_best[1] = moved.next_best[0], moved.next_best[1]

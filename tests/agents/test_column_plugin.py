@@ -65,3 +65,7 @@ def test_values_of_a_list_column_are_checked_one_by_one() -> None:
 def test_a_column_of_an_unknown_kind_is_refused() -> None:
     with pytest.raises(InputError, match=r"kind of column 'mine' must be one of int, .*, got 'flt': known are"):
         register_column(Column("mine", "flt", "", "", lambda m: 0.0))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="take of column 'mine' must be a function of a Moment, got 'speed_mps'"):
+        register_column(Column("mine", "float", "", "", "speed_mps"))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="name of a column must be an identifier, got 'my speed'"):
+        register_column(Column("my speed", "float", "", "", lambda m: 0.0))

@@ -57,6 +57,13 @@ def test_an_environment_of_a_plug_in_is_listed_shown_and_driven(tmp_path: Path) 
     assert json.loads(shown)["all"]["success rate"] == 1.0
 
 
+def test_an_entry_of_a_function_is_shown_as_json(tmp_path: Path) -> None:
+    plugin = str(Path(PLUGIN).with_name("stopping_distance.py"))
+    index = json.loads(_lanebound(tmp_path, "envs", "LaneKeeping", "--json", "--plugin", plugin))["index"]
+    found = next(entry for entry in index if entry["column"] == "ego.stopping_distance")
+    assert found["source"] == "stopping_distance:stopping_distance_m"
+
+
 def test_worker_processes_of_a_benchmark_load_plug_ins(tmp_path: Path) -> None:
     suite = {"envs": ["Hairpin"], "agents": ["random"], "seeds": {"count": 2}, "overrides": QUICK}
     (tmp_path / "suite.yaml").write_text(json.dumps(suite), encoding="utf-8")

@@ -7,24 +7,29 @@ from __future__ import annotations
 
 import importlib
 import pickle
+from collections.abc import Mapping
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 import pytest
+from highway_env.vehicle.behavior import IDMVehicle
 
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.benchmark.work import expected_s
 from lanebound.agents.episodes import open_env
+from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs import IDS, make_config
-from lanebound.envs.ids import CONTINUOUS, LaneKeeping, Preset, register_id, withdraw_id
+from lanebound.envs.ids import CONTINUOUS, META, LaneKeeping, Preset, register_id, withdraw_id
+from lanebound.envs.info import InfoEntry, register_info, withdraw_info
 from lanebound.envs.observation import Entry, ObservationConfig, describe, entries, register_entry, withdraw_entry
 from lanebound.envs.vector.env import engines
 from lanebound.envs.worlds import WorldKind, register_world
 from lanebound.envs.worlds.base import Seat, World
+from lanebound.envs.worlds.drivers import CityDriver, LeadVehicle
 from lanebound.envs.worlds.networks import StreetNetwork
-from lanebound.envs.worlds.paths import Path, straight
+from lanebound.envs.worlds.paths import Path, Pose, straight
 from lanebound.integrity.core.errors import ConfigError, InputError
 from side_by_side import PERFECT, Tally, drive, pair, require_equal
 
@@ -85,6 +90,28 @@ def test_an_entry_must_give_a_number_for_each_environment() -> None:
         withdraw_entry("ego.constant")
 
 
+def test_an_entry_whose_function_fails_is_named() -> None:
+    register_entry(Entry("mine", "ego", "", 1.0, 0.0, 1.0, "misspelt", source=lambda o: o.belief["sped_mps"]))
+    with pytest.raises(InputError, match=r"source of entry ego.mine must return .*no field of name sped_mps"):
+        gymnasium.make(KEEPING, config=OPEN).reset(seed=1)
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("preview[5].ahead_m", r"source of entry ego.mine must be among the 5 of preview, got 'preview\[5\].ahead_m'"),
+        ("vehicle[2].age_s", "must be among the 2 of vehicle"),
+        ("sky[15]", "must be among the 15 of sky"),
+    ],
+)
+def test_an_entry_beyond_what_an_observation_has_is_refused(source: str, message: str) -> None:
+    config = ObservationConfig(vehicles=2)
+    assert len(config.preview_m) == len(config.satellites_m) == 5
+    register_entry(Entry("mine", "ego", "", 1.0, 0.0, 1.0, "too far", source))
+    with pytest.raises(InputError, match=message):
+        entries(config)
+
+
 def test_an_environment_with_them_is_pickled(two_entries: dict[str, Entry]) -> None:
     env = open_env("LaneKeeping", {**PERFECT, "observation": {"form": "flat"}})
     env.reset(seed=2)
@@ -105,8 +132,11 @@ def test_the_index_lists_them_until_they_are_withdrawn(two_entries: dict[str, En
     ("change", "message"),
     [
         ({"group": "eggo"}, "group must be one of ego, integrity, road, traffic, got 'eggo': did you mean 'ego'"),
-        ({"name": "speed"}, r"name must not be taken, got ego\.speed: choose another"),
-        ({"scale": 0.0}, r"scale must be > 0 and low < high, got 0\.0, 0\.0, 1\.0"),
+        ({"name": "speed"}, r"name of an entry of ego must not be taken, got 'speed': choose another"),
+        ({"name": "my speed"}, "name of an entry of ego must be an identifier, got 'my speed'"),
+        ({"high": np.inf}, "all finite, got 1.0, 0.0, inf"),
+        ({"source": 3}, "source of entry ego.mine must be the name of a field or a function, got 3"),
+        ({"scale": 0.0}, r"scale must be > 0 and low < high, all finite, got 0\.0, 0\.0, 1\.0"),
         (
             {"source": "belief.speed"},
             "source must name a field of belief, got 'belief.speed': did you mean 'speed_mps'",
@@ -164,6 +194,139 @@ def test_roads_that_fork_are_the_same_alone_and_in_the_engine(hairpin: ModuleTyp
     drive(single, engine, 1, tally, 20)
     require_equal(tally)
     assert single.world.vehicle.lane_index[0] == "end"
+
+
+class BusyWorld(World):
+    """A straight road of two lanes with six city drivers."""
+
+    OTHERS, TRAFFIC = CityDriver, "city"
+    LANE = ("a", "b", 0)
+
+    def _network(self) -> StreetNetwork:
+        network = StreetNetwork()
+        network.add_road(("a", "b"), Path.of(Pose(0.0, 0.0, 0.0), straight(500.0)), 2, self.config["lane_width"])
+        return network
+
+    @classmethod
+    def most_vehicles(cls, config: dict[str, Any]) -> int:
+        return 7
+
+    def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Any]:
+        others = [Seat(("a", "b", n % 2), 50.0 + 30.0 * n + float(rng.uniform(0.0, 9.0)), 7.0, 9.0, 4.0)
+                  for n in range(6)]  # fmt: skip
+        return [Seat(self.LANE, 20.0, 10.0), *others], None
+
+
+class Busy(Preset):
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "BusyWorld", **META}
+
+
+def _register(world: type[World]) -> None:
+    register_world(WorldKind("BusyWorld", world, world.support))
+    register_id(Busy)
+
+
+def test_a_world_with_traffic_is_the_same_alone_and_in_the_engine() -> None:
+    _register(BusyWorld)
+    single, engine = pair("Busy", PERFECT)
+    tally = Tally()
+    drive(single, engine, 4, tally, 20)
+    require_equal(tally)
+    assert tally.steps == 20
+    assert single.world.road.vehicles[3].__class__ is CityDriver
+
+
+class HalfBrakes(CityDriver):
+    def act(self, action: Any = None) -> None:
+        super().act(action)
+
+
+@pytest.mark.parametrize(
+    ("declared", "message"),
+    [
+        ({"TRAFFIC": "course"}, "OTHERS of the world must be LeadVehicle, which the traffic 'course' moves, .*CityDri"),
+        ({"TRAFFIC": "citty"}, r"traffic of a world must be one of .*, got 'citty': did you mean 'city'\?"),
+        ({"OTHERS": IDMVehicle, "TRAFFIC": "motorway"}, "TRAFFIC of the world must be course, city or network"),
+        ({"OTHERS": HalfBrakes}, "HalfBrakes.act must be that of CityDriver in the vector engine"),
+        ({"_is_terminated": lambda self: True}, "World._is_terminated must be that of World, without a support"),
+        ({"_reward": lambda self, action: 0.0}, "World._reward must be that of World"),
+    ],
+)
+def test_the_engine_refuses_traffic_and_rules_that_it_would_drive_otherwise(
+    declared: dict[str, Any], message: str
+) -> None:
+    _register(type("OwnWorld", (BusyWorld,), declared))
+    single = gymnasium.make("lanebound/Busy-v0", config=PERFECT)
+    single.reset(seed=1)
+    with pytest.raises(ConfigError, match=message):
+        gymnasium.make_vec("lanebound/Busy-v0", 2, config=PERFECT, **ENGINE)
+
+
+@pytest.mark.parametrize(
+    ("declared", "message"),
+    [
+        ({"most_vehicles": classmethod(lambda cls, config: 3)}, "OwnWorld.most_vehicles must be 7 at least, got 3"),
+        ({"LANE": ("a", "c", 0)}, r"seats of OwnWorld must be on lanes of its network, got \('a', 'c', 0\)"),
+        ({"LANE": ("a", "b", 2)}, r"seats of OwnWorld must be on lanes of its network, got \('a', 'b', 2\)"),
+        ({"draw_seats": lambda self, rng: ([], None)}, "OwnWorld.draw_seats must return the seat of the ego first"),
+        ({"OTHERS": LeadVehicle, "TRAFFIC": "course"}, "draw_seats must return a speed profile for LeadVehicle"),
+    ],
+)
+def test_wrong_seats_are_refused_alone_and_in_the_engine(declared: dict[str, Any], message: str) -> None:
+    _register(type("OwnWorld", (BusyWorld,), declared))
+    with pytest.raises(InputError, match=message):
+        gymnasium.make("lanebound/Busy-v0", config=PERFECT)
+    with pytest.raises(InputError, match=message):
+        gymnasium.make_vec("lanebound/Busy-v0", 2, config=PERFECT, **ENGINE)
+
+
+def test_a_world_is_a_class_with_a_function_for_its_support() -> None:
+    with pytest.raises(InputError, match="world of 'mine' must be a subclass of World, got <class 'object'>"):
+        register_world(WorldKind("mine", object))
+    with pytest.raises(InputError, match=r"support of 'mine' must be a function, .*: pass MyWorld.support"):
+        register_world(WorldKind("mine", BusyWorld, BusyWorld.support()))  # type: ignore[arg-type]
+
+
+def test_a_number_of_a_monitor_is_in_info_alone_and_in_the_engine() -> None:
+    importlib.import_module("interference")
+    importlib.import_module("usual_strength")
+    name, given = "usual_cn0_dbhz", {"sky": "urban", "duration_s": 2.0, "navigator": {"stages": ["interference"]}}
+    single, engine = gymnasium.make(KEEPING, config=given), EngineVecEnv(KEEPING, 2, given, keys=(name,))
+    engine.seed(4)
+    engine.reset()
+    first = single.reset(seed=4)[1][name]
+    assert first == engine.reset_infos[0][name]
+    assert first > 30.0
+    action = np.zeros(2, np.float32)
+    for n in range(10):
+        info, infos = single.step(action)[4], engine.step(np.tile(action, (2, 1)))[3]
+        assert info[name] == infos[0][name], n
+    assert infos[0]["TimeLimit.truncated"]  # the info is that of the end, not of the start after it
+    assert info[name] != first
+    other = gymnasium.make_vec(KEEPING, 2, config={**PERFECT}, **ENGINE)
+    infos = other.reset(seed=1)[1]
+    assert infos[name].tolist() == [0.0, 0.0]
+    assert infos[f"_{name}"].tolist() == [True, True]
+
+
+def test_a_number_of_info_is_registered_once_and_named_where_it_fails() -> None:
+    importlib.import_module("usual_strength")
+    for entry, message in (
+        (InfoEntry("cost", "", lambda o: o.belief["speed_mps"]), "name of an entry of info must not be taken, got 'co"),
+        (InfoEntry("usual_cn0_dbhz", "", lambda o: o.belief["speed_mps"]), "must not be taken"),
+        (InfoEntry("mine", "", 3), "source of info.mine must be a function of Observed, got 3"),
+    ):
+        with pytest.raises(InputError, match=message):
+            register_info(entry)
+    register_info(InfoEntry("mine", "", lambda o: o.states["stage missing"]["a"]))
+    env = gymnasium.make(KEEPING, config=OPEN)
+    with pytest.raises(InputError, match=r"source of info.mine must return one number .*KeyError: 'stage missing'"):
+        env.reset(seed=1)
+    withdraw_info("mine")
+    env = gymnasium.make(KEEPING, config=OPEN)
+    assert "mine" not in env.reset(seed=1)[1]
+    with pytest.raises(InputError, match="entry of info must be a registered one, got 'mine'"):
+        withdraw_info("mine")
 
 
 def test_a_benchmark_expects_the_time_that_its_preset_declares(hairpin: ModuleType) -> None:

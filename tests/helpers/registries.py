@@ -12,6 +12,7 @@ import gymnasium
 
 from lanebound.agents import plugins
 from lanebound.agents.episodes import columns
+from lanebound.envs import info
 from lanebound.envs.ids import registry
 from lanebound.envs.observation import index
 from lanebound.envs.worlds import kinds as worlds
@@ -39,6 +40,7 @@ TABLES: tuple[dict[Any, Any] | list[Any], ...] = (
     columns._registered,
     fault_registry._kinds,
     index._registered,
+    info._registered,
     plugins._loaded,
     registry.IDS,
     registry._registered,

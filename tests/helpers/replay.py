@@ -117,7 +117,7 @@ class Replay:
         self._equal("reward", where, float(out["reward"]), reward)
         self._equal("terminated", where, bool(out["terminated"] > 0.0), terminated)
         self._equal("truncated", where, bool(out["truncated"] > 0.0), truncated)
-        infos = infos_of(results(engine.outcome), form_of(np.ones(engine.count, dtype=np.bool_)))
+        infos = infos_of(results(engine.outcome), form_of(np.ones(engine.count, dtype=np.bool_)), {})
         self._same_info("info", where, single_info(infos, row), info)
 
     def _same_info(self, name: str, where: str, got: dict[str, Any], info: dict[str, Any]) -> None:

@@ -18,12 +18,12 @@ FIELDS = ("x", "y", "heading", "speed", "lane", "crashed", "onward")
 
 
 @jit
-def run_replay(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, lanes, rules, traffic):  # type: ignore[no-untyped-def]
+def run_replay(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, rules, traffic):  # type: ignore[no-untyped-def]
     """A kernel as in :mod:`lanebound.envs.vector.drive_kernel`, with poses from ``profile`` (N, S 7 V).
 
     The profile has S simulation steps, after which it begins again; of each the ``FIELDS`` of V vehicles.
     """
-    places = cars.shape[1]
+    places, lanes = cars.shape[1], traffic.lanes
     numbers, wholes = np.empty((NUMBERS, places)), np.empty((WHOLES, places), np.int64)
     steps = traffic.profile.shape[1] // (7 * places)
     for e in rows[first:last]:

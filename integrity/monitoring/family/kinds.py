@@ -7,6 +7,7 @@ from typing import Any
 
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.plugins import bare_name, unknown
+from lanebound.integrity.core.presets import require_new
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.levels import OWN_LEVELS, Level
@@ -170,12 +171,13 @@ def register_monitor(
     Raises
     ------
     InputError
-        The name is taken, or there is no such need.
+        The name is taken or no identifier, the level is no function, or there is no such need.
     ConfigError
         A change is refused.
     """
-    if name in FAMILY:
-        raise InputError(f"name of a monitor must not be taken, got {name!r}: choose another")
+    require_new("a monitor", name, FAMILY)
+    if level is not None and not callable(level):
+        raise InputError(f"level of monitor {name!r} must be a function of a LevelWork, got {level!r}: give one")
     missing = [need for need in needs if need not in NEEDS]
     if missing:
         raise InputError(f"needs must be among {', '.join(NEEDS)}, got {missing[0]!r}: correct it")

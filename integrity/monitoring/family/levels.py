@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, chndtrix
 
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit
@@ -202,7 +203,16 @@ OWN_LEVELS: dict[str, Level] = {}
 
 def own(work: LevelWork) -> Array:
     """The level of a registered monitor, which ``register_monitor`` put into ``OWN_LEVELS`` under its name."""
-    return np.asarray(OWN_LEVELS[work.config.own_level](work), dtype=np.float64)
+    name, shape = work.config.own_level, (work.fit.df.size, work.risks.size)
+    level = np.asarray(OWN_LEVELS[name](work), dtype=np.float64)
+    if level.shape != shape:
+        raise InputError(
+            f"level of monitor {name!r} must have shape (epochs, risks) = {shape}, got {level.shape}: return one for "
+            "each epoch and risk"
+        )
+    if not (level >= 0.0).all():
+        raise InputError(f"level of monitor {name!r} must be >= 0, got {level.min():g}: inf stands for no level")
+    return level
 
 
 LEVELS: dict[LevelKind, Level] = {

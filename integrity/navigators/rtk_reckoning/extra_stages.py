@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.plugins import find
-from lanebound.integrity.core.presets import require_registered
+from lanebound.integrity.core.presets import require_new, require_registered
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.navigators.rtk_reckoning.stages import STATELESS, OutsideStage, Point, Stage
+from lanebound.integrity.navigators.rtk_reckoning.stages import STATELESS, OutsideStage, Point, Stage, require_stage
 from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL, OBSERVED_VEHICLE
 
 __all__ = ["EXTRA_STAGES", "ExtraStages", "Point", "register_stages", "stages_named", "withdraw_stages"]
@@ -68,22 +68,25 @@ def register_stages(
     Raises
     ------
     InputError
-        The name is taken, there is no such measurement, or there is no stage.
+        The name is taken or no identifier, there is no such measurement, there is no stage, or points, stages, state
+        or reason have another form.
     """
-    if name in EXTRA_STAGES:
-        raise InputError(f"name of stages must not be taken, got {name!r}: choose another")
+    require_new("stages", name, EXTRA_STAGES)
     measured = (*OBSERVED_SIGNAL.fields, *OBSERVED_VEHICLE.fields)  # type: ignore[misc]
     unknown = [need for need in needs if need not in measured]
     if unknown:
         raise InputError(f"needs must be among {', '.join(measured)}, got {unknown[0]!r}: correct it")
     if not stages:
         raise InputError(f"stages of {name!r} must hold one at least, got none: give a function for a Point")
+    for point, stage in stages.items():
+        if not isinstance(point, Point):
+            raise InputError(f"points of stages {name!r} must be members of Point, got {point!r}: write Point.BOUNDED")
+        require_stage(f"stages {name!r}", stage, initial)
+    if not isinstance(reason, AlertReason):
+        raise InputError(f"reason of {name!r} must be an AlertReason, got {reason!r}: use AlertReason.register")
     if reason.code == AlertReason.NONE.code:
         raise InputError(f"reason of {name!r} must not be NONE: an alert of that code would be none, register one")
-    own = {
-        point: OutsideStage(f"stage {name}", reason.code, stage, point is Point.BOUNDED)
-        for point, stage in stages.items()
-    }
+    own = {point: OutsideStage(f"stage {name}", reason.code, stage, point) for point, stage in stages.items()}
     EXTRA_STAGES[name] = ExtraStages(name, about, needs, own, STATELESS if initial is None else initial)
     return EXTRA_STAGES[name]
 

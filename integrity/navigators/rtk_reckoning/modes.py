@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.plugins import find
-from lanebound.integrity.core.presets import require_registered
+from lanebound.integrity.core.presets import require_new, require_registered
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import advance_doppler, advance_imu_odometer
-from lanebound.integrity.navigators.rtk_reckoning.stages import STATELESS, OutsideStage, Stage
+from lanebound.integrity.navigators.rtk_reckoning.stages import STATELESS, ModeStage, OutsideStage, Stage, require_stage
 from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["MODES", "PositioningMode", "mode_named", "register_mode", "withdraw_mode"]
@@ -54,13 +53,13 @@ def register_mode(name: str, label: str, stage: Stage, initial: Records | None =
     Raises
     ------
     InputError
-        The name is taken.
+        The name is taken or no identifier, or stage or state have another form.
     """
-    if name in MODES:
-        raise InputError(f"name of a mode must not be taken, got {name!r}: choose another")
+    require_new("a mode", name, MODES)
+    require_stage(f"mode {name!r}", stage, initial)
     mode = Mode.register(name, label)
     state = STATELESS if initial is None else initial
-    MODES[name] = PositioningMode(mode, OutsideStage(f"mode {name}", int(mode), stage), state)
+    MODES[name] = PositioningMode(mode, ModeStage(f"mode {name}", int(mode), stage), state)
     return mode
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.plugins import find
-from lanebound.integrity.core.presets import require_registered
+from lanebound.integrity.core.presets import require_new, require_registered
 from lanebound.integrity.navigators.services.config import CodeServiceConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.augmentation import PROVIDERS
@@ -103,8 +103,7 @@ def register_service(
     InputError
         The name is taken, there is no such provider, or ranges without ionosphere have no second band.
     """
-    if name in SERVICES:
-        raise InputError(f"name of a service must not be taken, got {name!r}: choose another")
+    require_new("a service", name, SERVICES)
     if provider is not None and provider not in PROVIDERS:
         raise InputError(f"provider must be among {', '.join(PROVIDERS)} or None, got {provider!r}: correct it")
     if combined and not second:

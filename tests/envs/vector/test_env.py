@@ -170,7 +170,7 @@ def test_drivers_that_something_has_rewritten_are_refused(monkeypatch: pytest.Mo
         ({"slots": 3}, "slots"),
         ({"action": "continuous", "action_options": {"dynamical": True}}, "dynamical"),
         ({"action": "continuous", "action_options": {"type": "DiscreteAction"}}, "action_options.type must be Contin"),
-        ({"action_options": {"type": "ContinuousAction"}}, "action_options.type must be DiscreteMetaAction with action"),
+        ({"action_options": {"type": "ContinuousAction"}}, "type must be DiscreteMetaAction with action"),
         ({"action_options": {"target_speeds": [20, 20]}}, "target_speeds must be two or more rising speeds"),
         ({"simulation_hz": 20, "policy_hz": 4, "navigation": {"source": "perfect", "rate_hz": 2.5}}, "policy_hz"),
     ],

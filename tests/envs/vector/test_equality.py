@@ -110,7 +110,8 @@ def test_to_stand_on_the_merging_lane_has_finite_rewards() -> None:
         assert engine.outcome["base"][0] == pytest.approx(info["rewards"]["base"], abs=1e-9)
         there = single.world.vehicle.lane_index == ("b", "c", 2)
         stood += there and single.belief_loop is not None and single.belief_loop.believed.target_speed == 0.0
-        assert not (terminated or truncated)
+        assert not terminated
+        assert not truncated
 
 
 @pytest.mark.slow

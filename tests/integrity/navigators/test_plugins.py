@@ -32,7 +32,14 @@ from lanebound.integrity.navigators.navigator import (
     navigator_class,
 )
 from lanebound.integrity.navigators.rtk_reckoning import extra_stages
+from lanebound.integrity.navigators.rtk_reckoning.extension_kernel import (
+    exclude_satellite,
+    raise_alert,
+    refuse_doppler,
+    refuse_fix,
+)
 from lanebound.integrity.navigators.rtk_reckoning.extra_stages import Point
+from lanebound.integrity.navigators.rtk_reckoning.modes import register_mode
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
@@ -262,6 +269,81 @@ def test_a_monitor_of_a_taken_name_or_without_measurements_or_stages_is_refused(
     ):  # fmt: skip
         with pytest.raises(InputError, match=message):
             extra_stages.register_stages(name, "", needs, {})
+
+
+def _nothing(first: int, last: int, epoch: object, own: object) -> None:
+    pass
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"name": "my own"}, "name of stages must be an identifier, got 'my own'"),
+        ({"stages": {"BOUNDED": _nothing}}, "points of stages 'own' must be members of Point, got 'BOUNDED'"),
+        ({"stages": {Point.BOUNDED: 3}}, "stage of stages 'own' must be a function .*, got 3"),
+        (
+            {"stages": {Point.BOUNDED: lambda a, b, c: None}},
+            "must be a function .*, own.*too many",
+        ),
+        (
+            {"initial": {"a": 1.0}},
+            r"initial of stages 'own' must be a record \(1,\), got .'a': 1.0.: make",
+        ),
+        ({"initial": np.zeros(1)}, r"must be a record \(1,\)"),
+        ({"initial": np.zeros(2, [("a", "f8")])}, r"must be a record \(1,\)"),
+        ({"reason": "jam"}, "reason of 'own' must be an AlertReason, got 'jam'"),
+    ],
+)
+def test_stages_of_another_form_are_refused(given: dict[str, Any], message: str) -> None:
+    right: dict[str, Any] = {"name": "own", "about": "", "needs": (), "stages": {Point.BOUNDED: _nothing}}
+    with pytest.raises(InputError, match=message):
+        extra_stages.register_stages(**(right | given))
+
+
+def _exclude(epoch: Any, v: int) -> None:
+    for s in range(epoch.signals.shape[1]):
+        exclude_satellite(epoch, v, s)
+
+
+@pytest.mark.parametrize(
+    ("point", "call", "message"),
+    [
+        (Point.ESTIMATED, _exclude, "exclude_satellite must be called at Point.MEASURED, got a call in 'stage late'"),
+        (Point.MEASURED, lambda epoch, v: refuse_fix(epoch.work[v]), "refuse_fix must be called at Point.ESTIMATED"),
+        (Point.BOUNDED, lambda epoch, v: refuse_doppler(epoch.work[v]), "refuse_doppler must be called at Point.ESTIM"),
+        (Point.REPORTED, lambda epoch, v: raise_alert(epoch.work[v], 5), "raise_alert must be called at Point.BOUNDED"),
+    ],
+)
+def test_a_call_where_it_has_no_effect_is_refused(point: Point, call: Any, message: str) -> None:
+    def stage(first: int, last: int, epoch: Any, own: object) -> None:
+        for v in range(first, last):
+            call(epoch, v)
+
+    extra_stages.register_stages("late", "", (), {point: stage})
+    navigator = Navigator.nominal(NavigatorConfig.load({"stages": ["late"]}), [1], duration_s=10.0)
+    with pytest.raises(InputError, match=message):
+        _drive(navigator, range(30))
+
+
+@pytest.mark.parametrize("code", [1, 77])
+def test_a_mode_writes_its_own_code_alone(code: int) -> None:
+    def pretend(first: int, last: int, epoch: Any, own: Any) -> None:
+        epoch.work["mode"][first:last] = code
+
+    own = register_mode("pretend", "pretend", pretend)
+    navigator = Navigator.nominal(NavigatorConfig.load({"modes": ["doppler", "pretend"]}), [1], duration_s=10.0)
+    message = f"w.mode after 'mode pretend' must be own.code = {int(own)} where it was UNDECIDED, .*got {code} in place"
+    with pytest.raises(InputError, match=message):
+        _drive(navigator, range(5))
+
+
+def test_a_mode_of_another_form_is_refused() -> None:
+    with pytest.raises(InputError, match="name of a mode must be an identifier, got 'my mode'"):
+        register_mode("my mode", "", _nothing)
+    with pytest.raises(InputError, match="stage of mode 'mine' must be a function"):
+        register_mode("mine", "", None)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="name of AlertReason must be an identifier, got 'too weak'"):
+        AlertReason.register("too weak", "")
 
 
 # A kind of navigator

@@ -11,7 +11,7 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.sensors.fault_kinds import MAGNITUDE_FIELDS, FaultKind, FaultMoment, Magnitude
+from lanebound.integrity.sensors.fault_kinds import MAGNITUDE_FIELDS, FaultKind, FaultMoment, FaultPrior, Magnitude
 from lanebound.integrity.sensors.fault_registry import fault_kind, fault_kinds, register_fault, withdraw_fault
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sky.track import SkyTrack
@@ -99,6 +99,14 @@ NS = Magnitude("ns", ge=1.0, le=9.0, signed=False, whole=True)
         ({"name": "clock jump"}, "'clock jump': name must be an identifier"),
         ({"summary": ""}, "summary must say what the fault does"),
         ({"profiles": ("ramp",)}, "profiles must contain 'step'"),
+        ({"profiles": "step"}, "profiles must be a tuple of 'step' and 'ramp', got 'step'"),
+        ({"profiles": ("step", "rmp")}, r"profiles must be a tuple of 'step' and 'ramp', got \('step', 'rmp'\)"),
+        ({"apply": None}, "apply must be a function of effects and moment, got None"),
+        ({"target": "satelite"}, "target must be a FaultTarget, got 'satelite'"),
+        (
+            {"magnitudes": (NS,), "sizes_tried": (1.0,), "prior": FaultPrior(per_h=1.0, low=1.0, high=10.0)},
+            "prior.high must be an integer >= 1 and <= 9, got 10",
+        ),
         ({"needs": ("satellite",)}, r"needs must be of system, prn, band, vehicle, got \('satellite',\)"),
         ({"magnitudes": (NS,)}, "sizes_tried must hold the sizes of the fault campaign, got none: .*not_tried_because"),
         ({"magnitudes": (NS,), "sizes_tried": (3.0, 10.0)}, "must be an integer >= 1 and <= 9 and not 0, got 10"),
@@ -114,6 +122,14 @@ NS = Magnitude("ns", ge=1.0, le=9.0, signed=False, whole=True)
 def test_wrong_declarations_are_refused(declared: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         FaultKind(**{"name": "other", "summary": "nothing", "apply": _nothing, **declared})
+
+
+def test_a_function_that_returns_its_effects_is_refused() -> None:
+    kind = FaultKind(name="other", summary="nothing", apply=lambda effects, now: effects.code_bias_m + 1.0)  # type: ignore[arg-type, return-value]
+    register_fault(kind)
+    schedule = FaultSchedule([Fault(kind="other", start_s=0.0)])
+    with pytest.raises(InputError, match="apply of fault kind 'other' must change the effects in place"):
+        schedule.effects(0.5, DT, SKY, VEHICLES)
 
 
 def test_a_magnitude_has_a_field_of_faults() -> None:

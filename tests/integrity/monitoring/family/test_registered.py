@@ -54,6 +54,10 @@ def test_wrong_registrations_are_refused_and_leave_nothing() -> None:
         register_monitor("ibpl", "", "", "")
     with pytest.raises(InputError, match=r"needs must be among .*, got 'radar'"):
         register_monitor("mine", "", "", "", needs=("radar",))
+    with pytest.raises(InputError, match="level of monitor 'mine' must be a function of a LevelWork, got 3"):
+        register_monitor("mine", "", "", "", level=3)
+    with pytest.raises(InputError, match="name of a monitor must be an identifier, got 'my own'"):
+        register_monitor("my own", "", "", "")
     with pytest.raises(ConfigError, match="false_alarm"):
         register_monitor("mine", "", "", "", false_alarm=2.0)
     with pytest.raises(ConfigError, match="own_level is required"):
@@ -63,6 +67,24 @@ def test_wrong_registrations_are_refused_and_leave_nothing() -> None:
     with pytest.raises(ConfigError, match="monitor must be one of the family, got 'mine'"):
         monitor_named("mine")
     assert before == FAMILY
+
+
+@pytest.mark.parametrize(
+    ("level", "message"),
+    [
+        (lambda work: -work.fit.major_m[:, None] * np.ones(2), "level of monitor 'mine' must be >= 0, got -"),
+        (
+            lambda work: np.nan * work.fit.major_m[:, None] * np.ones(2),
+            "must be >= 0, got nan: inf stands for",
+        ),
+        (lambda work: work.fit.major_m, r"must have shape \(epochs, risks\) = \(25, 2\), got \(25,\)"),
+        (lambda work: None, r"must have shape \(epochs, risks\) = \(25, 2\), got \(\)"),
+    ],
+)
+def test_a_level_that_is_none_is_refused(level, message) -> None:
+    register_monitor("mine", "", "", "", level=level, test="global")
+    with pytest.raises(InputError, match=message):
+        watch(quiet(25, 10, 2, 40), monitor_named("mine").config(), np.array([1e-3, 1e-5]))
 
 
 def test_a_withdrawn_monitor_is_unknown(registered) -> None:
