@@ -81,7 +81,7 @@ def test_pages_are_written_of_what_is_there(tmp_path: Path) -> None:
     write_page(source, tmp_path)
     page = (tmp_path / f"{NAME}.md").read_text(encoding="utf-8")
     assert "of 5 trainings" in page
-    assert "| `lagrangian` | 2 of 2 | 14.5 [14.5, 14.5] |" in page
-    assert "| `taught` | 1 of 3 |" in page
-    assert "| `taught` less `lagrangian` | 26 [26, 26], p" in page
+    assert "| `lagrangian` | 2/2 | 14.5 [14.5, 14.5] |" in page
+    assert "| `taught` | 1/3 |" in page
+    assert "| `taught` - `lagrangian` | 26 [26, 26]" in page
     assert (tmp_path / "value_of_integrity-curves-1.png").stat().st_size > 1000
