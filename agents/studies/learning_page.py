@@ -137,7 +137,7 @@ def overview(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) ->
 
 def _half(estimate: Mapping[str, Any]) -> str:
     mean, high = estimate["mean"], estimate["high"]
-    return f"{mean:.0f}" + ("" if high is None else f" ± {high - mean:.0f}")
+    return f"{mean:.0f}" + ("" if high is None else f"±{high - mean:.0f}")
 
 
 def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]) -> str:

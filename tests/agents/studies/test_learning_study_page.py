@@ -81,6 +81,6 @@ def test_pages_are_written_of_what_is_there(tmp_path: Path) -> None:
     write_page(source, tmp_path)
     page = (tmp_path / f"{NAME}.md").read_text(encoding="utf-8")
     assert "of 5 trainings" in page
-    assert "| LaneKeeping, urban | 14 ± 0 at 14 ± 0 (2) |" in page
+    assert "| LaneKeeping, urban | 14±0 at 14±0 (2) |" in page
     assert "| `taught` - `lagrangian` | LaneKeeping, urban | 26 [26, 26]" in page
     assert (tmp_path / "value_of_integrity-curves-1.png").stat().st_size > 1000
