@@ -239,16 +239,18 @@ def _line(kind: type[Preset], c: EnvConfig) -> list[str]:
 # Configuration
 
 
-SHORT = re.compile(r"perception\.(v2v|sensor)\.|rendering\.|reward\.|observation\.\w+_max|observation\.range_m")
+SHORT = re.compile(r"perception\.(v2v|sensor)\.|rendering\.|observation\.\w+_max|observation\.range_m")
 """Keys without a meaning of their own in the table: other sections of the page document them."""
 
 
 def _keys() -> str:
-    """Every key of the configuration with its default."""
+    """Every key of the configuration with its default, less weights, which have tables, and keys of the package."""
     rows, short = [], []
     for key, value, unit, text in describe(EnvConfig(base="highway-v0")):
         default = "needed" if key == "base" else f"{_plain(value)} {unit if value is not None else ''}".strip()
-        if SHORT.match(key) or text.startswith("weight of"):
+        if text.startswith("weight of") or key.startswith("reward.") or "an environment sets it" in text:
+            continue
+        if SHORT.match(key):
             short.append(f"`{key}` {default}")
         else:
             rows.append([f"`{key}`", default, _without_source(text).replace("|", "\\|")])
@@ -257,7 +259,7 @@ def _keys() -> str:
         'A dot separates levels: `cost.response_s` is `config={"cost": {"response_s": 0.5}}`. The defaults are those\n'
         "before the preset of an id. The descriptions in the code name the source of a number.",
         _table(("key", "default", "meaning"), rows),
-        "Keys that the sections above describe, and scales of observations, with their defaults:",
+        "Weights are in the tables of [rewards](#rewards) and [costs](#costs). Other keys with their defaults:",
         "\n".join(textwrap.wrap(", ".join(short) + ".", 120, break_long_words=False, break_on_hyphens=False)),
     ]
     return "\n\n".join(parts)

@@ -45,7 +45,7 @@ class NavigationConfig(Config):
         None,
         gt=0,
         le=10,
-        description="1-sigma of the position known at the start (none: 0.05 m; 10 m with code services alone); chosen",
+        description="1-sigma of the known start position (none: 0.05 m, or 10 m with code services alone); chosen",
     )
     start_heading_deg: float = Field(0.5, gt=0, le=45, description="1-sigma of the heading known at the start; chosen")
     warm_up_s: float = Field(
