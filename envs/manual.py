@@ -141,19 +141,9 @@ are reset, with `"reset_mask"` of some. Rendering needs single environments (`ve
 Given the same poses of all vehicles, observations, rewards, costs and infos have equal bits (the term `base` of
 Racetrack agrees within 1e-12). The compiled dynamics round otherwise than highway-env's: poses agree within 1e-9 and
 all decisions exactly, but rounding grows, and the rest of the episode differs, where a vehicle steers by highway-env's
-law below 0.5 m/s, where two vehicles crash in line, and where two lanes overlap (one bend of Racetrack). Episodes that
-part, with perfect navigation, dense traffic and random commands (`.venv/bin/python tests/helpers/parted.py` prints all
-cases):
-
-| id | episodes | parted |
-|---|---|---|
-| LaneKeeping, Merge | 160 | 0 |
-| CarFollowing | 100 | 2 |
-| Highway | 171 | 1 |
-| UrbanCanyon | 213 | 8 |
-| Racetrack | 60 | 1 |
-| Roundabout | 80 | 10 |
-| Intersection, meta | 60 | 15 |
+law below 0.5 m/s, where two vehicles crash in line, and where two lanes overlap (one bend of Racetrack). Of 844
+episodes with perfect navigation, dense traffic and random commands 37 parted, 15 of 60 in Intersection, 10 of 80 in
+Roundabout, 8 of 213 in UrbanCanyon (`.venv/bin/python tests/helpers/parted.py` prints all cases).
 
 ## Other worlds
 
@@ -239,7 +229,9 @@ def _line(kind: type[Preset], c: EnvConfig) -> list[str]:
 # Configuration
 
 
-SHORT = re.compile(r"perception\.(v2v|sensor)\.|rendering\.|observation\.\w+_max|observation\.range_m")
+SHORT = re.compile(
+    r"perception\.(v2v|sensor|\w+_bound)|rendering\.|observation\.\w+_max|observation\.range_m|wander\.|cost\.|actuators\."
+)
 """Keys without a meaning of their own in the table: other sections of the page document them."""
 
 
@@ -259,7 +251,8 @@ def _keys() -> str:
         'A dot separates levels: `cost.response_s` is `config={"cost": {"response_s": 0.5}}`. The defaults are those\n'
         "before the preset of an id. The descriptions in the code name the source of a number.",
         _table(("key", "default", "meaning"), rows),
-        "Weights are in the tables of [rewards](#rewards) and [costs](#costs). Other keys with their defaults:",
+        "Keys that the sections above describe, and scales of observations, with their defaults (weights:\n"
+        "[rewards](#rewards), [costs](#costs)):",
         "\n".join(textwrap.wrap(", ".join(short) + ".", 120, break_long_words=False, break_on_hyphens=False)),
     ]
     return "\n\n".join(parts)

@@ -35,7 +35,7 @@ class LaneKeeping(Preset):
 
     ## Costs
     As above; `cost_headway` is always 0. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs over 24 training
-    seeds: 4 for `stop_on_alert`, 14 for `integrity_aware`, 50 for a driver that ignores alerts.
+    seeds: `stop_on_alert` 4, `integrity_aware` 14, a driver that ignores alerts 50.
 
     ## Starting State
     In the middle of the lane, 10 to 956 m along the road, at 10 m/s or at the speed that the bends ahead allow.
@@ -85,7 +85,7 @@ class CarFollowing(Preset):
 
     ## Costs
     As above; `cost_headway` dominates. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs over 24 training seeds:
-    3 for `stop_on_alert`, 23 for `integrity_aware`, 52 for a driver that ignores alerts.
+    `stop_on_alert` 3, `integrity_aware` 23, a driver that ignores alerts 52.
 
     ## Starting State
     In the middle of the lane, 10 to 1505 m along the road, at the speed of the vehicle ahead (5 to 13.9 m/s), with a
@@ -135,8 +135,7 @@ class UrbanCanyon(Preset):
 
     ## Costs
     As above. An alert permits 6.9 m/s (target speed 5.6 m/s) without a lane change. `cost_limit` is 40. Mean costs over
-    12 training seeds: 6 for `stop_on_alert`, which hardly moves, 56 for `integrity_aware`, 221 for `nominal`, which
-    ignores alerts.
+    12 training seeds: `stop_on_alert` 6 (it hardly moves), `integrity_aware` 56, `nominal` 221.
 
     ## Starting State
     In the middle of either lane, anywhere on the loop, at 10 m/s or at the speed that the bends ahead allow; the other
