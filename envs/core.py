@@ -30,11 +30,11 @@ WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # ends of the ranges from which seeds
 class DrivingEnv(gymnasium.Env[Any, Any]):
     """
     ## Description
-    A car drives in a world of highway-env. Ten times a second the sensors of the car are simulated at its true pose
-    (GNSS signals between buildings, corrections of a reference station, gyros, accelerometers, wheel pulses), and a
-    navigator computes an estimated pose with protection levels. All decisions use the estimate: the observation, the
-    lane of the car, lane changes, steering and speed control under meta-actions, the route. Other vehicles react to
-    true positions.
+    A car drives in a world of highway-env, whose dynamics are unchanged. Ten times a second the sensors of the car are
+    simulated at its true pose (GNSS signals between buildings, corrections of a reference station, gyros,
+    accelerometers, wheel pulses), and a navigator computes an estimated pose with protection levels. All decisions use
+    the estimate: the observation, the lane of the car, lane changes, steering and speed control under meta-actions, the
+    route. Other vehicles react to true positions.
 
     Each other driver has a mean offset from the middle of its lane (0.15 m, 1 sigma) and wanders about it (0.19 m, with
     a correlation time of 5 s), at most 0.5 m in all; `wander.offset_sigma_m` and `wander.wander_sigma_m` of 0 put all

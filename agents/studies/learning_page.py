@@ -1,8 +1,9 @@
 """The page of a study: harm of every arm in every place, and differences of arms, from stored trainings.
 
 ``python -m lanebound.agents.studies.learning_page docs/value_of_integrity.json docs`` writes ``value_of_integrity.md``
-and the learning curves into ``docs``, and prints the table of the results. With folders of the study after that, as ``out/study=4518748`` with the commit
-that learnt there, it first makes the file of their parts: checkpoints and episodes of each training by columns.
+and the learning curves into ``docs``, and prints the table of the results. With folders of the study after that, as
+``out/study=4518748`` with the commit that learnt there, it first makes the file of their parts: checkpoints and
+episodes of each training by columns.
 """
 
 from __future__ import annotations
