@@ -309,11 +309,8 @@ def _index() -> str:
         ">>> shown = entries(env.unwrapped.config.observation)\n"
         '>>> names = [entry.name for entry in shown if entry.group == "integrity"]\n'
         '>>> float(observation["integrity"][names.index("mode_spp")]), info["mode"]\n(1.0, 5)\n\n```',
-        "The index of another configuration, as a table:",
-        "```pycon\n>>> from lanebound.envs.observation import describe\n"
-        '>>> env = gymnasium.make("lanebound/Merge-v0", config={"sky": "open", "observation": {"vehicles": 3}})\n'
-        ">>> table = describe(env.unwrapped.config.observation)\n"
-        ">>> print(table.splitlines()[0])\n| flat | group | at | entry | unit | scale | bounds | meaning |\n\n```",
+        "`lanebound envs ID` prints the index of an id, with `--set` that of another configuration, and\n"
+        "`lanebound.envs.observation.describe(config)` returns it as a table.",
     ]
     for group in GROUPS:
         rows = [_row(pattern, members) for (of, pattern), members in places.items() if of == group]
