@@ -139,11 +139,11 @@ are reset, with `"reset_mask"` of some. Rendering needs single environments (`ve
 [Training](training.md#many-environments-at-once) describes reset modes and Stable-Baselines3.
 
 Given the same poses of all vehicles, observations, rewards, costs and infos have equal bits (the term `base` of
-Racetrack agrees within 1e-12). The compiled dynamics round otherwise than highway-env's: poses agree within 1e-9 and
-all decisions exactly, but rounding grows, and the rest of the episode differs, where a vehicle steers by highway-env's
-law below 0.5 m/s, where two vehicles crash in line, and where two lanes overlap (one bend of Racetrack). Of 844
-episodes with perfect navigation, dense traffic and random commands 37 parted, 15 of 60 in Intersection, 10 of 80 in
-Roundabout, 8 of 213 in UrbanCanyon (`.venv/bin/python tests/helpers/parted.py` prints all cases).
+Racetrack agrees within 1e-12). The compiled dynamics round differently from highway-env's: poses agree within 1e-9, and
+all decisions exactly. Rounding grows, and the rest of the episode differs, where a vehicle steers by highway-env's law
+below 0.5 m/s, two vehicles crash in line, or two lanes overlap (one bend of Racetrack). Of 844 episodes with perfect
+navigation, dense traffic and random commands 37 parted: 15 of 60 in Intersection, 10 of 80 in Roundabout, 8 of 213 in
+UrbanCanyon (`.venv/bin/python tests/helpers/parted.py` prints all cases).
 
 ## Other worlds
 
