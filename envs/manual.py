@@ -251,8 +251,9 @@ def _keys() -> str:
         'A dot separates levels: `cost.response_s` is `config={"cost": {"response_s": 0.5}}`. The defaults are those\n'
         "before the preset of an id. The descriptions in the code name the source of a number.",
         _table(("key", "default", "meaning"), rows),
-        "Weights are keys such as `reward.progress` and `cost.lane` (of `cost_lane`), with the defaults of the tables of\n"
-        "[rewards](#rewards) and [costs](#costs). Other keys that the sections above describe, and scales of observations:",
+        "Weights are keys such as `reward.progress` and `cost.lane` (of `cost_lane`), with the defaults of the tables\n"
+        "of [rewards](#rewards) and [costs](#costs). Other keys that the sections above describe, and scales of\n"
+        "observations:",
         "\n".join(textwrap.wrap(", ".join(short) + ".", 120, break_long_words=False, break_on_hyphens=False)),
     ]
     return "\n\n".join(parts)
