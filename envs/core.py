@@ -169,7 +169,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     `info["is_success"]` is true in the last step if the true car is unharmed, on the road, in the direction of its
     lane, at the goal (Merge, Roundabout, Intersection) and in time: its mean speed along the lane was at least
-    `success_share` of the speed that the limit, the bends (2 m/s2 across) and a moving vehicle ahead within 4 s
+    `success_share` of the speed that the limit, the bends (2 m/s2 across) and a vehicle ahead within 4 s (no wreck)
     allowed, and at the end it is at most 10 s (`success_behind_s`) behind a car that always drives at that share. Costs
     do not count for a success: report successes within `cost_limit` and the mean speed (`success_within_limit` and
     `mean_speed` of the benchmark).
