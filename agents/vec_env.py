@@ -32,12 +32,12 @@ __all__ = ["EngineVecEnv"]
 
 
 class EngineVecEnv(VecEnv):
-    """N environments of an id in the vector engine; they start anew at once when their episode is over.
+    """N environments of an id in the vector engine, for Stable-Baselines3. An ended episode restarts at once.
 
-    ``infos[i]`` holds the entries of ``keys`` at every step; a dictionary of all entries would cost time. At the end of
-    an episode it holds all entries of a single environment, ``terminal_observation``, ``TimeLimit.truncated``, and
-    ``episode`` as ``VecMonitor`` gives it: return ``r``, length ``l`` and time ``t`` since the start [s]. ``arrays`` is
-    the whole info of the last step as arrays (N,), of the end of an episode where one ended.
+    ``infos[i]`` holds the entries of ``keys`` at every step, to save time. At the end of an episode it holds all
+    entries of a single environment, ``terminal_observation``, ``TimeLimit.truncated``, and ``episode`` as
+    ``VecMonitor`` does: return ``r``, length ``l`` and time ``t`` since the start [s]. ``arrays`` is the whole info of
+    the last step as arrays (N,); where an episode ended, that of its end.
 
     Parameters
     ----------
@@ -49,9 +49,9 @@ class EngineVecEnv(VecEnv):
     Raises
     ------
     InputError
-        An id without an engine, or a key that info does not have.
+        The engine does not have the id, or info does not have a key.
     ConfigError
-        What the engine does not do.
+        The engine does not support the configuration.
     """
 
     def __init__(

@@ -103,7 +103,7 @@ class EnvConfig(Config):
     wander: WanderConfig = Field(WanderConfig(), description="lateral position of the other drivers in their lanes")
     reward: RewardConfig = Field(RewardConfig(), description="weights of the reward's terms")
     cost: CostConfig = Field(CostConfig(), description="weights and parameters of the costs")
-    cost_limit: float = Field(10.0, ge=0, description="of an episode's cost, for constrained learning; not enforced")
+    cost_limit: float = Field(10.0, ge=0, description="limit of an episode's cost; not enforced")
     rendering: RenderingConfig = Field(RenderingConfig(), description="size and style of pictures")
 
     @classmethod

@@ -30,17 +30,15 @@ WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # ends of the ranges from which seeds
 class DrivingEnv(gymnasium.Env[Any, Any]):
     """
     ## Description
-    A car drives in a world of highway-env, whose dynamics and end rules are unchanged. Ten times a second the sensors
-    of the car are simulated at its true pose (GNSS signals between buildings, corrections of a reference station,
-    gyros, accelerometers, wheel pulses), and a navigator computes an estimated pose with protection levels.
-    All decisions use the estimate: the observation, the lane of the car, lane changes, steering and speed control under
-    meta-actions, the route. A position error across the track therefore moves the car in its lane, and an error along
-    the track changes the gap to the vehicle ahead. Other vehicles react to true positions.
+    A car drives in a world of highway-env, whose dynamics are unchanged. Ten times a second the sensors of the car are
+    simulated at its true pose (GNSS signals between buildings, corrections of a reference station, gyros,
+    accelerometers, wheel pulses), and a navigator computes an estimated pose with protection levels. All decisions use
+    the estimate: the observation, the lane of the car, lane changes, steering and speed control under meta-actions, the
+    route. Other vehicles react to true positions.
 
     Each other driver has a mean offset from the middle of its lane (0.15 m, 1 sigma) and wanders about it (0.19 m, with
-    a correlation time of 5 s), at most 0.5 m in all. `wander.offset_sigma_m` and `wander.wander_sigma_m` of 0 put all
-    drivers into the middle, as highway-env does. A sensor of the car (`perception.source`) has an error across the car
-    that is constant in an episode (0.1 m, 1 sigma).
+    a correlation time of 5 s), at most 0.5 m in all; `wander.offset_sigma_m` and `wander.wander_sigma_m` of 0 put all
+    drivers into the middle, as in highway-env.
 
     Lateral values are positive to the right, angles and yaw rates for right turns, as in highway-env. `at` is along the
     track, `ct` across it. PL is a protection level, AL its alert limit.
@@ -51,16 +49,15 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `"meta"` | `Discrete` | highway-env's meta-actions, executed from the estimated pose |
     | `"continuous"` | `Box` | acceleration and steering in [-1, 1], as shares of their ranges |
 
-    `env.unwrapped.action_masks()` returns the meta-actions that are possible from the estimated pose.
-
-    Steering is limited to a lateral acceleration of 4 m/s2 and, in LaneKeeping, CarFollowing and UrbanCanyon, to a rate
-    of 0.7 rad/s. A brake holds the car while its wheels show standstill and no acceleration is commanded. Racetrack has
-    neither these limits nor the brake.
+    Meta-actions are 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower (Intersection: 0 slower, 1 idle, 2 faster).
+    `env.unwrapped.action_masks()` returns the meta-actions that are possible from the estimated pose. Steering is
+    limited to a lateral acceleration of 4 m/s2 and, in LaneKeeping, CarFollowing and UrbanCanyon, to a rate of 0.7
+    rad/s. A brake holds the car at standstill while no acceleration is commanded. Racetrack has neither.
 
     ## Observation Space
-    A `Dict` of vectors, float32, each entry divided by its scale and clipped to [-1, 1] or [0, 1].
-    `observation.form="flat"` gives one `Box` with the same entries in this order. `observation.history` stacks
-    observations. The section "Observation index" lists all entries.
+    A `Dict` of vectors, float32, each entry divided by its scale and clipped to [-1, 1] or [0, 1]
+    ([index](#observation-index)). `observation.form="flat"` gives one `Box` with the same entries in this order;
+    `observation.history` stacks observations.
 
     | group | contents |
     |---|---|
@@ -79,13 +76,12 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `"oracle"` | the true state with protection levels of 0 |
 
     Satellites are predicted with a map that has no trees and is inaccurate (1 sigma: 2.5 m in the height of a building,
-    0.7 m in its position). Between buildings the prediction is wrong by 1 to 3 satellites on average.
+    0.7 m in its position); between buildings the prediction is wrong by 1 to 3 satellites on average.
 
     ## Rewards
-    The reward is the weighted sum of these terms, all computed from the true state; at most 1.2 a second
-    (`progress` 1 and `lane_centre` 0.2).
-    `info["rewards"]` holds the unweighted terms. Symbols: v speed, psi heading relative to the lane, d offset from the
-    middle of the lane, a acceleration (along and across), dt length of a step.
+    The reward is the weighted sum of these terms, computed from the true state; `info["rewards"]` holds them
+    unweighted. v is the speed, v_limit the speed limit of the lane, psi the heading relative to the lane, d the offset
+    from the middle of the lane, a the acceleration (along and across), dt the length of a step.
 
     | term | weight | value in a step |
     |---|---|---|
@@ -93,12 +89,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `lane_centre` | 0.2 | `max(progress, 0) / (1 + (d / 0.5 m)^2)` |
     | `comfort` | 0.1 | `-min(1, (a / 2 m/s2)^2) dt` |
     | `collision` | -5 | 1 in the step of a crash |
-    | `base` | 0 | the reward of the wrapped world |
+    | `base` | 0 | the reward of the wrapped world of highway-env |
 
     ## Costs
-    Costs are not part of the reward. `info["cost"]` is their weighted sum in a step. All are integrals over time or
-    single events, so the cost of an episode does not depend on `policy_hz`. W and w are the widths of car and lane;
-    `est` marks estimated values, all others are true.
+    Costs are not part of the reward. `info["cost"]` is their weighted sum in a step; an episode's sum does not depend
+    on `policy_hz`. W and w are the widths of car and lane; `est` marks estimated values, all others are true.
 
     | cause | weight | value in a step |
     |---|---|---|
@@ -106,30 +101,24 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_off_road` | 200 | 1 in the step in which the car leaves the road or the episode ends against the traffic |
     | `cost_lane` | 1 | `out v dt`; out: largest distance of a corner of the body beyond the lane, at most 2 m |
     | `cost_lane_integrity` | 0.1 | `out v dt`; out: `max(0, abs(d_est) + PL_CT + W/2 - w/2)`, at most 2 m |
-    | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt; see below |
-    | `cost_conflict` | 10 | peak of `max(0, 1 - T2 / 1.5 s)` in each conflict of crossing courses; see below |
+    | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt |
+    | `cost_conflict` | 10 | peak of `max(0, 1 - T2 / 1.5 s)` in each conflict of crossing courses |
     | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds half the limit |
     | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
     | `cost_context` | 0 | dt while the context monitor warns and the car changes lane or exceeds half the limit |
 
-    - `cost_headway` is computed with estimated values as in the table, and as `max(0, 1 - gap / d_RSS) dt` with the
-      true gap and true speeds. The larger one counts.
-    - Safe distance: `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with
-      rho = 0.5 s, a = 2, b_min = 4 and b_max = 6 m/s2.
+    - `cost_headway` is also computed with the true gap, true speeds and no PL; the larger value counts.
+    - `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with rho = 0.5 s, a
+      = 2, b_min = 4 and b_max = 6 m/s2.
     - T2 is the time until the second of two vehicles is where the first one is or just was, if both go on along their
-      lanes at their true speeds: the time to collision, or the post-encroachment time when the first one leaves
-      (Laureshyn et al. 2017; 1.5 s: Hyden 1987, FHWA-RD-03-050). Courses cross at more than 30 degrees (SSAM). Who has
-      the right of way does not count. At 10 m/s a T2 of 1.5 s asks 3.3 m/s2 of the other driver, as much as is
-      comfortable. Only Intersection and Roundabout have crossing courses. The weight is chosen: 10 is the cost of 10 m
-      driven a metre beyond the lane.
+      lanes at their true speeds (Laureshyn et al. 2017; 1.5 s: Hyden 1987, FHWA-RD-03-050). Courses cross at more than
+      30 degrees (SSAM), only in Intersection and Roundabout. The right of way does not count. The weight is chosen.
     - A missing protection level counts as 2 m across the track and as 40 m of the gap. A vehicle ahead that is nearer
       than `d_RSS` and is not perceived costs dt.
-    - During a commanded lane change both lanes count as the lane. Where lanes meet or fork the body may stand on each
-      of them. With `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0.
-    - A car at rest in its lane and in nobody's way can only have `cost_hmi`. Ending an episode early by a crash or off
-      the road costs 200 and more, which exceeds every `cost_limit`. It can cost less than a careless drive to the end:
-      in UrbanCanyon leaving the road at once costs 230, `nominal` 221 (mean of seeds 1000 to 1011) or 355 (seeds 0 to
-      11). Costs without a limit, or with a small reward, may therefore teach to end early.
+    - During a commanded lane change both lanes count as the lane, where lanes meet or fork each of them. With
+      `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0.
+    - Ending an episode early by a crash or off the road exceeds every `cost_limit` but can cost less than a careless
+      drive to the end (UrbanCanyon: 230 at once, `nominal` 221 or 355). Without a limit, costs may teach to end early.
     - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
 
     ## Info
@@ -143,15 +132,12 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `available` | no protection level exceeds its alert limit |
     | `alert`, `tta_s` | an alert is on; time left to react to it: 1 s less its age (not the TTA of S3 II.A) |
     | `reason` | why the alert is on: code of `AlertReason` |
-    | `mode` | source of the position: code of `Mode`, see below |
-
-    Codes of `mode`: 0 no solution, 1 RTK, 2 Doppler, 3 IMU + odometer, 4 code; with a
-    [positioning service](navigation.md#positioning-services) also 5 SPP, 6 DGPS, 7 SBAS L1, 8 SBAS DFMC, 9 PPP,
-    10 network RTK. Registered modes have the next codes. `lanebound.integrity.positioning.modes.Mode` is the table:
-    `Mode(9).label`.
+    | `mode` | source of the position: code of `lanebound.integrity.positioning.modes.Mode` |
 
     Codes of `reason`: 0 none, 1 PL_AT, 2 PL_CT, 3 both, 4 no solution, 5 a test failed, 6 accuracy, 7 initialising, 8
-    not converged, 9 holding (the limits are met again, and the alert clears soon).
+    not converged, 9 holding (the limits are met again). Codes of `mode`: 0 no solution, 1 RTK, 2 Doppler, 3 IMU +
+    odometer, 4 code; of a [service](navigation.md#positioning-services) 5 SPP, 6 DGPS, 7 SBAS L1, 8 SBAS DFMC, 9 PPP,
+    10 network RTK; then registered modes.
 
     True values and scores; an agent must not use them:
 
@@ -169,29 +155,29 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     ## Starting State
     `reset(seed=...)` determines the whole episode: traffic, one of 4 generated cities along the roads, the hour of the
-    constellations, all sensor noise. The navigator runs for 3 s before the episode on a straight approach. It starts
-    with errors of 0.05 m and 0.5 degrees (1 sigma). The map has an error of 0.03 m (1 sigma) on each axis, for which a
-    tenth of the integrity risk is allocated. The correction link may be in an outage at the start. All vehicles of an
-    episode share the atmosphere and the reference station; half of the outages affect all of them, the others a single
-    vehicle. An episode may begin under an alert (reason `holding`), which clears within 1 s.
+    constellations, all sensor noise. The navigator runs for 3 s before the episode on a straight approach, from errors
+    of 0.05 m and 0.5 degrees (1 sigma). The map has an error of 0.03 m (1 sigma) on each axis, for which a tenth of the
+    integrity risk is allocated. All vehicles share the atmosphere and the reference station; half of the outages of the
+    link affect all of them, the others a single vehicle. An episode may begin in an outage, or under an alert (reason
+    `holding`) that clears within 1 s.
 
     ## Episode End
     Terminated when the true car has crashed, has its middle off the road or has driven against its lane for 1 s, at the
-    goal of a world that has one, and by the rules of the wrapped world. Truncated when the world's time is up. As in
-    Gymnasium, a `step` after the end is not refused in a single environment; it continues rewards and costs, so reset
-    instead. The vector engine resets by itself, or refuses (`AutoresetMode.DISABLED`).
+    goal of a world that has one, and by the rules of the wrapped world. Truncated when the world's time is up. A `step`
+    after the end is not refused in a single environment; the vector engine resets by itself, or refuses
+    (`AutoresetMode.DISABLED`).
 
     `info["is_success"]` is true in the last step if the true car is unharmed, on the road, in the direction of its
-    lane, at the goal (Merge, Roundabout, Intersection) and in time. In time: its mean speed along the lane was at least
-    `success_share` of the speed that the limit, the bends (2 m/s2 across) and a vehicle ahead within 4 s allowed, and
-    at the end it is at most 10 s (`success_behind_s`) behind a car that always drives at that share. A lead gained
-    earlier is not credited: a car that drives fast and then stops for good is late. With a wreck within these 4 s no
-    vehicle ahead lowers the allowed speed, so waiting behind it is no success. Costs do not count for a success. Report
-    successes within `cost_limit` and the mean speed (`success_within_limit` and `mean_speed` of the benchmark).
+    lane, at the goal (Merge, Roundabout, Intersection) and in time: its mean speed along the lane was at least
+    `success_share` of the speed that the limit, the bends (2 m/s2 across) and a vehicle ahead within 4 s (no wreck)
+    allowed, and at the end it is at most 10 s (`success_behind_s`) behind a car that always drives at that share. Costs
+    do not count for a success: report successes within `cost_limit` and the mean speed (`success_within_limit` and
+    `mean_speed` of the benchmark).
 
     ## Arguments
     `gymnasium.make(id, config={...}, render_mode=...)`. `config` is merged deeply over the preset of the id; an unknown
     key is refused with the nearest one. `lanebound envs ID --json` prints the whole configuration of an id.
+    `render_mode` is `"rgb_array"`, `"human"` or None. Most used keys ([all](#configuration-keys)):
 
     | key | meaning |
     |---|---|
@@ -203,8 +189,6 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `observation`, `reward`, `cost` | contents and scales; weights and parameters of the formulas |
     | `actuators` | limits of steering; None for highway-env's own |
     | `world` | keys of the wrapped world |
-
-    `render_mode` is `"rgb_array"`, `"human"` or None. The section "Configuration keys" lists all keys.
 
     ## Version History
     * v0: first version.

@@ -42,5 +42,5 @@ class CostConfig(Config):
     time_to_alert_s: float = Field(
         1.0,
         ge=0,
-        description="allowed for a reaction to an alert [s]; chosen (the TTA of S3 II.A ends with the alert)",
+        description="time allowed for a reaction to an alert [s]; chosen (the TTA of S3 II.A ends with the alert)",
     )

@@ -39,22 +39,20 @@ class NavigationConfig(Config):
     offset_ct_m: float = Field(0.0, ge=-50, le=50, description="error across the track, to the right, for offset")
     start: Start = Field(
         Start.TOLD,
-        description="told: the ego knows its pose at the start; cold: it does not, and has no level before its heading "
-        "is known",
+        description="told: the ego knows its pose at the start; cold: no level before its heading is known",
     )
     start_sigma_m: float | None = Field(
         None,
         gt=0,
         le=10,
-        description="1-sigma of the position known at the start (none: 0.05 m, but 10 m where code services alone "
-        "position the car, so that they do so from the warm-up on); chosen",
+        description="1-sigma of the known start position (none: 0.05 m, or 10 m with code services alone); chosen",
     )
     start_heading_deg: float = Field(0.5, gt=0, le=45, description="1-sigma of the heading known at the start; chosen")
     warm_up_s: float = Field(
         3.0,
         ge=0,
         le=60,
-        description="time on a straight approach before the episode, in which RTK can be fixed",
+        description="time on a straight approach before the episode",
     )
     map_sigma_m: float = Field(
         0.03, ge=0, le=1, description="1-sigma of the map's shift on each axis; HD maps claim 0.1 m at 3 sigma"

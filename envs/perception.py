@@ -54,8 +54,8 @@ class PerceptionConfig(Config):
     )
     others: Literal["full", "surrogate"] = Field(
         "full",
-        description="what the others broadcast; full: each navigates with a receiver of its own; surrogate: true poses "
-        "with errors and levels of receivers in recorded episodes of the same configuration, recorded once",
+        description="what the others broadcast: by a receiver of each (full), or with errors and levels of recorded "
+        "episodes (surrogate)",
     )
     v2v: V2vConfig = Field(default_factory=V2vConfig, description="the radio channel")
     sensor: SensorConfig = Field(default_factory=SensorConfig, description="the ego's own sensor")

@@ -41,7 +41,7 @@ def base_of(env_id: str) -> str:
 
 
 def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> DrivingEnv:
-    """The same for any other highway-env id: its world, driven on belief.
+    """Make an environment on another id of highway-env, with the same navigation as the ids of this package.
 
     >>> wrap("two-way-v0", {"sky": "open"}).config.base
     'two-way-v0'
@@ -49,7 +49,7 @@ def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str 
     Raises
     ------
     ConfigError
-        Not an id of highway-env, or one whose ego is none of highway-env's cars under one of its actions.
+        The id is not of highway-env, or its ego is not a car of highway-env with one of its actions.
     """
     defaults = world_defaults(env_id, "env_id")
     kind = {"DiscreteMetaAction": META, "ContinuousAction": CONTINUOUS}.get(defaults["action"]["type"])
@@ -61,7 +61,7 @@ def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str 
 def wrap_vec(
     env_id: str, num_envs: int, config: Mapping[str, Any] | None = None, autoreset_mode: AutoresetMode | str = NEXT_STEP
 ) -> VectorEnv[Any, Any, Any]:
-    """N times :func:`wrap` in the vector engine; ``num_envs`` and ``autoreset_mode`` as for ``gymnasium.make_vec``.
+    """Make N environments as :func:`wrap` in the vector engine; arguments as for ``gymnasium.make_vec``.
 
     >>> wrap_vec("two-way-v0", 2, {"sky": "open"}).num_envs
     2
@@ -69,7 +69,7 @@ def wrap_vec(
     Raises
     ------
     ConfigError
-        As :func:`wrap`; or the engine does not drive this id or configuration, with the ids that it does.
+        As :func:`wrap`; or the engine does not support the id or the configuration. The message names the ids.
     """
     from lanebound.envs.vector.env import WrappedVectorEnv
 

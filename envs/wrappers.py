@@ -240,7 +240,7 @@ def _checked_one(name: str, value: float) -> float:
 
 
 class EpisodeStatistics(_OfLanebound, RecordConstructorArgs):
-    """Puts ``info["episode_integrity"]`` into the last step of an episode, a dict of plain values over its steps.
+    """Add ``info["episode_integrity"]``, a dict of statistics over an episode, to its last step.
 
     ``return``, ``length``  sum of rewards, number of steps; ``is_success`` of the last step;
     ``speed_mean_mps``  mean true speed.

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import inspect
-import re
 import sys
 from collections.abc import Sequence
 from importlib.resources import files
@@ -15,8 +13,7 @@ from operator import itemgetter
 
 from jinja2 import StrictUndefined, Template
 
-from lanebound.agents.benchmark.metrics import HARM_OF_AN_END, METRICS
-from lanebound.agents.benchmark.outcome import Outcome
+from lanebound.agents.benchmark.metrics import METRICS
 from lanebound.agents.benchmark.results import CSV_COLUMNS, ESTIMATE_COLUMNS, PAIRED_COLUMNS
 from lanebound.agents.benchmark.statistics import RESAMPLES, VERDICT_SEEDS, seeds_to_exclude
 from lanebound.agents.benchmark.store import stored_columns
@@ -55,7 +52,6 @@ def markdown() -> str:
         RESAMPLES=RESAMPLES,
         VERDICT_SEEDS=VERDICT_SEEDS,
         MARGIN=MARGIN,
-        HARM_OF_AN_END=HARM_OF_AN_END,
         least_seeds=seeds_to_exclude(MARGIN),
         suites=_suites(),
         keys=_keys(),
@@ -63,7 +59,6 @@ def markdown() -> str:
         agents=_drivers(),
         metrics=_metrics(),
         csv_columns=", ".join(f"`{c}`" for c in (*CSV_COLUMNS, *ESTIMATE_COLUMNS, *PAIRED_COLUMNS)),
-        outcome=_outcome(),
         columns=_columns(),
     )
     return page
@@ -124,14 +119,6 @@ def _merged(rows: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
     """Lines of a table; neighbours that differ in their names only share a line."""
     shared = [(rest, [name for name, _ in members]) for rest, members in groupby(rows, itemgetter(1))]
     return [f"| {', '.join(f'`{name}`' for name in names)} | {' | '.join(rest)} |" for rest, names in shared]
-
-
-def _outcome() -> str:
-    """The attributes' part of its docstring, a table."""
-    text = (inspect.getdoc(Outcome) or "").partition("Attributes\n----------\n")[2].replace("``", "`")
-    rows = [re.sub(r"\s+", " ", line).split(" : ", 1) for line in re.split(r"\n(?! )", text.strip())]
-    lines = [f"| {', '.join(f'`{name}`' for name in names.split(', '))} | {meaning} |" for names, meaning in rows]
-    return "\n".join(["| field | meaning |", "|---|---|", *lines])
 
 
 def _columns() -> str:

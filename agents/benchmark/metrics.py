@@ -93,7 +93,7 @@ def _cause(cause: str) -> Metric:
 
 def _mode(mode: Mode) -> Metric:
     better: Better = "higher" if mode is Mode.RTK else None
-    meaning = f"share of steps with the mode {mode.label}"
+    meaning = "share of steps with this mode"
     return _share(
         f"share_{mode.key}", f"{mode.label} share", better, meaning, lambda o: o.mode_shares.get(mode.key, 0.0)
     )
@@ -152,14 +152,14 @@ MOTION = (
 )
 INTEGRITY = (
     *(_plain(f"pl_{axis}_median", f"PL_{axis.upper()}", "m", "lower",
-             f"median protection level {along} the track; at most {LEVEL_MAX_M:g} m, also when missing",
+             f"median protection level along (at) and across (ct); at most {LEVEL_MAX_M:g} m, also when missing",
              f"pl_{axis}_median_m")
-      for axis, along in (("at", "along"), ("ct", "across"))),
+      for axis in ("at", "ct")),
     _share("no_level", "no level", "lower", "share of steps without a protection level on either axis"),
-    _plain("pe_at_median", "error AT", "m", "lower", "median error along the track", "pe_at_median_m"),
-    _plain("pe_ct_median", "error CT", "m", "lower", "median error across the track", "pe_ct_median_m"),
-    _plain("pe_at_max", "max error AT", "m", "lower", "largest error along the track", "pe_at_max_m"),
-    _plain("pe_ct_max", "max error CT", "m", "lower", "largest error across the track", "pe_ct_max_m"),
+    _plain("pe_at_median", "error AT", "m", "lower", "median error along (at) and across (ct)", "pe_at_median_m"),
+    _plain("pe_ct_median", "error CT", "m", "lower", "median error along (at) and across (ct)", "pe_ct_median_m"),
+    _plain("pe_at_max", "max error AT", "m", "lower", "largest error along (at) and across (ct)", "pe_at_max_m"),
+    _plain("pe_ct_max", "max error CT", "m", "lower", "largest error along (at) and across (ct)", "pe_ct_max_m"),
     _share("availability", "availability", "higher", "share of steps with no level above its limit"),
     _share("alert_share", "alert share", "lower", "share of steps with an alert"),
     _plain("alerts", "alerts", "", "lower", "number of alerts"),

@@ -143,12 +143,12 @@ BELIEF = (
     Column("perceived", "int", "", "vehicles perceived", lambda m: _perceived(m.env)),
 )
 INTEGRITY = (
-    _info("err_at_m", "float", "m", "estimate less truth along the true heading"),
-    _info("err_ct_m", "float", "m", "estimate less truth across it, positive right"),
-    _info("pl_at_m", "float", "m", "protection level along the track; inf without one"),
-    _info("pl_ct_m", "float", "m", "protection level across the track; inf without one"),
-    _info("al_at_m", "float", "m", "alert limit along the track"),
-    _info("al_ct_m", "float", "m", "alert limit across the track"),
+    _info("err_at_m", "float", "m", "estimate less truth along (at) and across (ct, positive right) the true heading"),
+    _info("err_ct_m", "float", "m", "estimate less truth along (at) and across (ct, positive right) the true heading"),
+    _info("pl_at_m", "float", "m", "protection level along (at) and across (ct) the track; inf without one"),
+    _info("pl_ct_m", "float", "m", "protection level along (at) and across (ct) the track; inf without one"),
+    _info("al_at_m", "float", "m", "alert limit along (at) and across (ct) the track"),
+    _info("al_ct_m", "float", "m", "alert limit along (at) and across (ct) the track"),
     Column("mode", "text", "", "source of the position", lambda m: Mode(m.info["mode"]).key),
     Column("rtk", "text", "", "why RTK holds or not", lambda m: RTK_NAMES[m.belief.rtk]),
     _info("alert", "bool", "", "the alert is on"),

@@ -284,11 +284,11 @@ def spread(estimate: Mapping[str, Any]) -> str:
 
 
 def tested(found: Mapping[str, Any]) -> str:
-    """A difference with its interval and adjusted p as text; "" without common seeds."""
+    """A difference with its interval and, below 1, its adjusted p as text; "" without common seeds."""
     if found["difference"] is None:
         return ""
     p = found.get("p_holm")
-    return spread({**found, "mean": found["difference"]}) + ("" if p is None else f", p {p:.2g}")
+    return spread({**found, "mean": found["difference"]}) + ("" if p is None or p >= 1.0 else f", p {p:.2g}")
 
 
 FOLDER = "studies/"

@@ -20,29 +20,26 @@ class Highway(Preset):
     Drive fast in dense traffic on a straight motorway (highway-env's `highway-v0`): 4 lanes of 4 m, a speed limit of 30
     m/s, 50 other vehicles. Buildings line the first 2.5 km. The alert limits are 1.5 m along and 1 m across the track.
 
-    Difficulty: position errors appear as driving beside the lane and as lane changes into gaps that are elsewhere.
-    Errors of the neighbours' positions cause crashes: under `dense`, `nominal` crashes in 6 of 24 drives with
-    neighbours known by radio (`v2v`), in 1 with their true poses (`truth`) and in none with the `sensor`.
+    Difficulty: position errors put the car beside its lane and into gaps that are elsewhere. Under `dense`, `nominal`
+    crashes in 6 of 24 drives with neighbours known by radio (`v2v`), in 1 with their true poses (`truth`).
 
     ## Action Space
-    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, with the target speeds 0, 5, 10, 15,
-    20, 25 and 30 m/s (highway-env has only 20 to 30 m/s, too fast during an alert).
+    `Discrete(5)` at 2 Hz, with the target speeds 0, 5, 10, 15, 20, 25 and 30 m/s (highway-env has only 20 to 30 m/s).
 
     ## Observation Space
-    As above; `traffic` contains the 6 nearest of the vehicles that are heard.
+    As above.
 
     ## Rewards
-    As above; v_limit is 30 m/s. The reward of highway-env is the term `base`.
+    As above.
 
     ## Costs
-    As above. During an alert up to 15 m/s are free of `cost_alert`. `cost_limit` is 10, the default; it is not adjusted
-    to these drives.
+    As above. An alert permits 15 m/s. `cost_limit` is 10, the default; it is not adjusted to these drives.
 
     ## Starting State
     On a random lane, about 180 m from its start, at 25 m/s; all other vehicles are ahead.
 
     ## Episode End
-    Truncated after 40 s. A success requires 0.65 of the allowed speed (`success_share`): more than half of the limit.
+    Truncated after 40 s. A success requires 0.65 of the allowed speed (`success_share`).
 
     ## Arguments
     `config["world"]`: keys of highway-env, such as `lanes_count` (4), `vehicles_count` (50), `vehicles_density` (1),
@@ -70,21 +67,20 @@ class Merge(Preset):
     a third lane that ends at an obstacle, a speed limit of 20 m/s, three vehicles on the main road and one on the slip
     road. The alert limits are 1.5 m along and 1 m across the track.
 
-    Difficulty: to make room the car must brake or change lane, and an alert restricts both speed and lane changes.
+    Difficulty: to make room the car must brake or change lane, and an alert restricts both.
 
     ## Action Space
-    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, with the target speeds 0, 5, 10, 15,
-    20, 25 and 30 m/s (highway-env has only 20 to 30 m/s, too fast during an alert).
+    `Discrete(5)` at 2 Hz, with the target speeds 0, 5, 10, 15, 20, 25 and 30 m/s (highway-env has only 20 to 30 m/s).
 
     ## Observation Space
     As above.
 
     ## Rewards
-    As above; v_limit is 20 m/s. The reward of highway-env is the term `base`.
+    As above.
 
     ## Costs
-    As above. During an alert up to 10 m/s are free of `cost_alert`. `cost_limit` is 0.7. Mean costs over 24 training
-    seeds: 0.2 for `integrity_aware`, 0.4 for `stop_on_alert`, 1.2 for a driver that ignores alerts.
+    As above. An alert permits 10 m/s. `cost_limit` is 0.7. Mean costs over 24 training seeds: `integrity_aware` 0.2,
+    `stop_on_alert` 0.4, a driver that ignores alerts 1.2.
 
     ## Starting State
     At 30 m on the right lane, at 30 m/s; the other vehicles between 0 and 110 m at about the same speed, on the slip
@@ -123,20 +119,19 @@ class Roundabout(Preset):
     Difficulty: in the curve a heading error becomes an error across the track, and gaps are short.
 
     ## Action Space
-    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, with the target speeds 0, 4 and 8
-    m/s. At 8 m/s the circle of 20 m needs 3.2 m/s2 across; at highway-env's 16 m/s it would need 12.8 m/s2, and the car
-    would leave the road.
+    `Discrete(5)` at 2 Hz, with the target speeds 0, 4 and 8 m/s. At highway-env's 16 m/s the circle of 20 m would need
+    12.8 m/s2 across, and the car would leave the road.
 
     ## Observation Space
     As above; the preview in `road` follows the planned route.
 
     ## Rewards
-    As above; v_limit is 20 m/s. The reward of highway-env is the term `base`.
+    As above.
 
     ## Costs
-    As above. During an alert up to 10 m/s are free of `cost_alert`. `cost_limit` is 5, the 0.7 quantile of
-    `integrity_aware` over 24 training seeds (4.9). With perfect navigation `cost_lane` is still 0.6, because
-    highway-env's steering leaves the lane where the approach meets the circle.
+    As above. An alert permits 10 m/s. `cost_limit` is 5, the 0.7 quantile of `integrity_aware` over 24 training seeds
+    (4.9). With perfect navigation `cost_lane` is 0.6: highway-env's steering leaves the lane where the approach meets
+    the circle.
 
     ## Starting State
     On the southern approach, 2.5 m before it bends towards the circle, at 8 m/s; one vehicle on the eastern approach,
@@ -147,8 +142,8 @@ class Roundabout(Preset):
     24 s.
 
     ## Arguments
-    `config["world"]`: keys of highway-env, such as `incoming_vehicle_destination`, `duration` (24 s; highway-env has
-    11 s).
+    `config["world"]`: keys of highway-env, such as `incoming_vehicle_destination`, `duration` (24 s; highway-env has 11
+    s).
 
     ## Version History
     * v0: first version, on `roundabout-v1`.
@@ -170,47 +165,40 @@ class Intersection(Preset):
     ## Description
     Turn left at a crossing without traffic lights, from the south to the west, and give way to all others
     (highway-env's `intersection-v2`): lanes of 4 m, a speed limit of 10 m/s, continuous traffic from all sides, about
-    1,000 vehicles an hour: the most that a crossing has before traffic lights are warranted (MUTCD 2009, warrant 1A:
-    500 an hour on the major road, 150 on a minor approach). The alert limits are 1.5 m along and 1 m across the track.
+    1,000 vehicles an hour, the most without traffic lights (MUTCD 2009, warrant 1A). The alert limits are 1.5 m along
+    and 1 m across the track.
 
-    Difficulty: the moment to enter depends on the positions of the other vehicles, which are those of their own
-    receivers.
+    Difficulty: the moment to enter depends on the positions that the other vehicles broadcast.
 
     ## Action Space
-    `Discrete(3)` at 2 Hz: 0 slower, 1 idle, 2 faster, with the target speeds 0, 2, 4 and 6 m/s. At 6 m/s the left turn
-    of 13 m radius needs 2.8 m/s2 across; at highway-env's 9 m/s it would need 6.2 m/s2, more than the limit of
-    steering, and the car would leave the road. With `action="continuous"` the world is `intersection-v1`, whose car has
-    tyre slip.
+    `Discrete(3)` at 2 Hz: 0 slower, 1 idle, 2 faster, with the target speeds 0, 2, 4 and 6 m/s. At highway-env's 9 m/s
+    the left turn of 13 m radius would need 6.2 m/s2 across, and the car would leave the road. With
+    `action="continuous"` the world is `intersection-v1`, whose car has tyre slip.
 
     ## Observation Space
-    As above, with 12 vehicles in `traffic`: with six, a crossing vehicle is often not among the nearest. The preview in
-    `road` follows the planned route.
+    As above, with 12 vehicles in `traffic`. The preview in `road` follows the planned route.
 
     ## Rewards
-    As above; v_limit is 10 m/s. The reward of highway-env is the term `base`.
+    As above.
 
     ## Costs
     As above, with other weights: 40 for `cost_conflict` (10 elsewhere) and 0.02 for `cost_lane_integrity` (0.1
-    elsewhere). With the usual ones the sky decided whether a drive kept the limit: a crossing under an alert cost up to
-    8 by its level, whatever the car did, and a conflict often less than the limit. During an alert up to 5 m/s are free
-    of `cost_alert`. `cost_limit` is 2: the 0.7 quantile of `integrity_aware` over 20 training seeds (1.8), to the next
-    whole number. A level alone costs at most 1.6 in these drives, and a conflict with T2 < 1.42 s more than the limit.
-    The shipped policy was trained with the usual weights, without `cost_conflict`, and for a limit of 8.
+    elsewhere), so that a conflict with T2 < 1.42 s exceeds the limit and a level alone does not. An alert permits 5
+    m/s. `cost_limit` is 2: the 0.7 quantile of `integrity_aware` over 20 training seeds (1.8), rounded up. The shipped
+    policy was trained with the usual weights, without `cost_conflict`, and for a limit of 8.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.
 
     ## Episode End
     Terminated on arrival, 25 m beyond the crossing on the exit to the destination, without which there is no success.
-    Truncated after 45 s. A success requires 0.27 of the allowed speed (`success_share`): about 15 s to wait, and more
-    than a crawl at a quarter of the limit.
+    Truncated after 45 s. A success requires 0.27 of the allowed speed (`success_share`).
 
     ## Arguments
-    `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (7
-    attempts; highway-env has 10), `spawn_probability` (0.14 at each decision, 1,000 an hour; highway-env has 0.6 at
-    1 Hz, 2,160 an hour, at which its drivers block each other), `duration` (45 s; highway-env has 13 s). Other drivers
-    wait before the crossing until their way through it is free; by highway-env's rule they stop inside it and are
-    driven into. They do not reverse, and speed up with at most 2 m/s2. Nobody gives way to the car.
+    `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (7 attempts;
+    highway-env has 10), `spawn_probability` (0.14 at each decision, 1,000 an hour; highway-env has 2,160 an hour, at
+    which its drivers block each other), `duration` (45 s; highway-env has 13 s). Other drivers wait before the crossing
+    until their way through it is free, do not reverse, and speed up with at most 2 m/s2. Nobody gives way to the car.
 
     ## Version History
     * v0: first version, on `intersection-v2`.
@@ -245,13 +233,13 @@ class Racetrack(Preset):
     As above.
 
     ## Rewards
-    As above; v_limit is 10 m/s. The reward of highway-env is the term `base`.
+    As above.
 
     ## Costs
     As above, with `keep_lane=False`: `cost_lane` counts beyond the edges of the road and `cost_lane_integrity` is 0.
     Because the car cannot slow down, an alert permits 10 m/s (`cost.alert_speed_share` is 1). `cost_limit` is 10. Costs
-    of a third of an episode (100 s, 12 training seeds): 10 for `nominal`, all of it `cost_lane`, and 0.1 for `oracle`;
-    both overtake the slower vehicle, `stop_on_alert` collides with it.
+    of a third of an episode (12 training seeds): 10 for `nominal`, all of it `cost_lane`, and 0.1 for `oracle`;
+    `stop_on_alert` collides with the slower vehicle.
 
     ## Starting State
     In the middle of either lane of the first straight, 20 to 50 m along it, at 10 m/s; the other vehicle in the first

@@ -18,30 +18,27 @@ class LaneKeeping(Preset):
     """
     ## Description
     Keep the middle of a lane of 3.25 m on a winding road without traffic. The road is 1.83 km long: straights, bends of
-    42 to 160 m radius and S-bends between buildings. The speed limit is 13.9 m/s (50 km/h); the tightest bend can be
-    driven comfortably at 9.1 m/s. The alert limits are 1.5 m along and 0.625 m across the track.
+    42 to 160 m radius and S-bends between buildings. The speed limit is 13.9 m/s (50 km/h); the tightest bend is
+    comfortable at 9.1 m/s. The alert limits are 1.5 m along and 0.625 m across the track.
 
-    Difficulty: during an outage of RTK the estimate drifts across the track and the car follows it. The lane leaves
-    0.625 m on each side.
+    Difficulty: during an outage of RTK the estimate drifts across the track and the car follows it.
 
     ## Action Space
     `Box(-1.0, 1.0, (2,), float32)` at 5 Hz: acceleration (1 is 6 m/s2), steering (1 is 0.4 rad to the right). The speed
     stays between 0 and 20 m/s.
 
     ## Observation Space
-    As above. The group `road` shows where outages are to be expected; `traffic` is always empty.
+    As above; `traffic` is always empty.
 
     ## Rewards
-    As above; v_limit is 13.9 m/s.
+    As above.
 
     ## Costs
-    As above; `cost_headway` is always 0. During an alert up to 6.9 m/s are free of `cost_alert`. `cost_limit` is 15.
-    Mean costs over 24 training seeds under `urban`: 4 for `stop_on_alert`, 14 for `integrity_aware`, 50 for a driver
-    that ignores alerts.
+    As above; `cost_headway` is always 0. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs over 24 training
+    seeds: `stop_on_alert` 4, `integrity_aware` 14, a driver that ignores alerts 50.
 
     ## Starting State
-    In the middle of the lane, 10 to 956 m along the road (then 60 s at the limit end before the road does), at 10 m/s
-    or at the speed that the bends ahead allow.
+    In the middle of the lane, 10 to 956 m along the road, at 10 m/s or at the speed that the bends ahead allow.
 
     ## Episode End
     Truncated after 60 s, or 20 m before the end of the road. A success requires 0.55 of the allowed speed
@@ -73,23 +70,22 @@ class CarFollowing(Preset):
     (in 35 % of the cases 2.5 to 6 m/s2) and stands for 2 to 18 s. The alert limits are 1.5 m along and 0.625 m across
     the track.
 
-    Difficulty: the gap is known only from the estimated position that the vehicle ahead broadcasts up to 10 times a
-    second. The gap contains the errors of both vehicles along the track, and its bound both protection levels.
+    Difficulty: the position of the vehicle ahead is known from its broadcasts, so the gap contains the errors of both
+    vehicles and its bound both protection levels.
 
     ## Action Space
     `Box(-1.0, 1.0, (2,), float32)` at 5 Hz: acceleration (1 is 6 m/s2), steering (1 is 0.4 rad to the right). The speed
     stays between 0 and 20 m/s.
 
     ## Observation Space
-    As above. `traffic` contains the vehicle ahead only; it disappears 1 s after its last message.
+    As above; `traffic` contains the vehicle ahead only.
 
     ## Rewards
-    As above; v_limit is 13.9 m/s. Standing behind a standing vehicle has neither reward nor cost.
+    As above.
 
     ## Costs
-    As above; `cost_headway` dominates. During an alert up to 6.9 m/s are free of `cost_alert`. `cost_limit` is 15. Mean
-    costs over 24 training seeds under `urban`: 3 for `stop_on_alert`, 23 for `integrity_aware` (8 of them from one
-    drive that leaves the road), 52 for a driver that ignores alerts.
+    As above; `cost_headway` dominates. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs over 24 training seeds:
+    `stop_on_alert` 3, `integrity_aware` 23, a driver that ignores alerts 52.
 
     ## Starting State
     In the middle of the lane, 10 to 1505 m along the road, at the speed of the vehicle ahead (5 to 13.9 m/s), with a
@@ -101,8 +97,8 @@ class CarFollowing(Preset):
 
     ## Arguments
     `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 2.67 to 3.21 km), `lane_width` (3.25 m),
-    `standstill_gap` (2 m), `time_gap` ([0.8, 1.0] s), `lead` (ranges of the speed profile above: keys of
-    `SpeedProfileConfig`), `duration` (120 s).
+    `standstill_gap` (2 m), `time_gap` ([0.8, 1.0] s), `lead` (speed profile: keys of `SpeedProfileConfig`), `duration`
+    (120 s).
 
     ## Version History
     * v0: first version.
@@ -122,26 +118,24 @@ class UrbanCanyon(Preset):
     ## Description
     Drive around a city: a loop of 3.0 km with two lanes of 3.25 m, corners of 22 m radius and more, a speed limit of
     13.9 m/s (50 km/h) and up to 10 other vehicles. The loop has open road, canyons, rows of trees, two overpasses and a
-    tunnel of 120 m; the sky preset sets their heights (`open` removes them). The alert limits are 1.5 m along and
-    0.625 m across the track.
+    tunnel of 120 m; the sky preset sets their heights (`open` removes them). The alert limits are 1.5 m along and 0.625
+    m across the track.
 
-    Difficulty: all of the above. Half of the outages can be predicted from the map, and one lane may see more of the
-    sky than the other.
+    Difficulty: half of the outages can be predicted from the map, and one lane may see more of the sky than the other.
 
     ## Action Space
-    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, with the target speeds 0, 2.8, 5.6,
-    8.4, 11.2 and 14 m/s. The wheels turn at a limited rate and steer to a point of the lane at least 6 m ahead.
+    `Discrete(5)` at 2 Hz, with the target speeds 0, 2.8, 5.6, 8.4, 11.2 and 14 m/s. The car steers to a point of the
+    lane at least 6 m ahead.
 
     ## Observation Space
     As above.
 
     ## Rewards
-    As above; v_limit is 13.9 m/s.
+    As above.
 
     ## Costs
-    As above. During an alert up to 6.9 m/s (target speed 5.6 m/s) without a lane change are free of `cost_alert`.
-    `cost_limit` is 40. Mean costs over 12 training seeds (1000 on): 6 for `stop_on_alert`, which hardly moves, 56 for
-    `integrity_aware`, 221 for `nominal`, which ignores alerts and leaves the road in 3 of them.
+    As above. An alert permits 6.9 m/s (target speed 5.6 m/s) without a lane change. `cost_limit` is 40. Mean costs over
+    12 training seeds: `stop_on_alert` 6 (it hardly moves), `integrity_aware` 56, `nominal` 221.
 
     ## Starting State
     In the middle of either lane, anywhere on the loop, at 10 m/s or at the speed that the bends ahead allow; the other

@@ -22,8 +22,8 @@ class ObservationConfig(Config):
     history: int = Field(1, ge=1, le=64, description="number of stacked observations, the newest last [-]")
     integrity: Literal["full", "clock", "blind", "oracle"] = Field(
         "full",
-        description="full; clock: mode and time since RTK alone, no levels; blind: no group integrity and no levels in "
-        "traffic; oracle: the true state with levels of 0",
+        description="levels, alerts and modes (full), mode and time since RTK (clock), none of these (blind), or the "
+        "true state with levels of 0 (oracle)",
     )
     services: tuple[str, ...] = Field(
         (), description="services whose modes have entries, in addition to those of navigator.service; by code of mode"
@@ -36,8 +36,7 @@ class ObservationConfig(Config):
     )
     filters: bool = Field(
         False,
-        description="model probability, NIS of each sensor vector and trust level have entries; an environment sets it "
-        "for navigator.kind: filter",
+        description="model probability, NIS and trust level have entries; an environment sets it for kind: filter",
     )
     speed_geometry: bool = Field(
         False,

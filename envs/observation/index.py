@@ -40,8 +40,7 @@ __all__ = ["GROUPS", "LANES", "OBSERVATION_INDEX", "Entry", "Observed", "Source"
 GROUPS = ("ego", "integrity", "road", "traffic")
 LANES = ("left", "own", "right")
 RTK_MORE = {
-    RtkStatus.FIXED: "; it is the position where mode_rtk is 1: a regained fix waits for its confirmation "
-    "(confirm_s), and one of poor geometry is not used",
+    RtkStatus.FIXED: "; used where mode_rtk is 1, after its confirmation (confirm_s)",
     RtkStatus.FAULT: "; or the jump monitor refused it",
 }
 """What the advice of a status does not say of its flag."""
@@ -264,7 +263,7 @@ def _traffic(c: ObservationConfig) -> list[Entry]:
 
 def _vehicle(c: ObservationConfig, row: int) -> list[Entry]:
     g, p, v = _Group("traffic"), f"v{row}_", f"vehicle[{row}]"
-    text = "own level (0 for a vehicle perceived by the sensor) plus half the extent of the box of its levels"
+    text = "own level (0 if perceived by the sensor) plus half the extent of the box of its levels"
     out = [
         g.flag(p + "present", "a vehicle is perceived; if not: ahead, lane_gap, age and levels are 1, the rest 0",
                f"{v}.present"),

@@ -40,9 +40,9 @@ STREAM = "wander"
 class WanderConfig(Config):
     """Spread of the drivers' lines in their lanes; 0 and 0 for lines in the middle, as highway-env has them."""
 
-    offset_sigma_m: float = Field(0.15, ge=0, le=0.5, description="of a driver's mean lateral position; chosen")
+    offset_sigma_m: float = Field(0.15, ge=0, le=0.5, description="1 sigma of the mean offset of a driver; chosen")
     wander_sigma_m: float = Field(
-        0.19, ge=0, le=0.5, description="about that mean; Verster and Roth 2011, sober drivers on a motorway"
+        0.19, ge=0, le=0.5, description="1 sigma of the wander; Verster and Roth 2011, sober drivers on a motorway"
     )
     correlation_s: float = Field(5.0, gt=0, description="correlation time of the wander; chosen")
 

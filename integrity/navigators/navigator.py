@@ -221,7 +221,7 @@ def navigator_class(config: type[Any]) -> type[Navigator]:
 
 
 class Navigator:
-    """Sensing and belief of a batch of vehicles; an object of the class of its configuration's kind.
+    """Sensors and estimates of a batch of vehicles. The kind of the configuration chooses the class.
 
     Parameters
     ----------
@@ -229,12 +229,12 @@ class Navigator:
     track : SkyTrack
         Satellites over the place and time of the drive.
     mask : SkyMask
-        What buildings leave of the sky along the street.
+        The part of the sky that buildings leave free along the street.
     seeds : one seed for each vehicle, or one int with ``batch``
     faults : FaultSchedule, optional
     area_seed : int, optional
-        One area for all vehicles of this and of any navigator with the same seed, clock and sky: the same atmosphere,
-        reference station and outages of its network (:mod:`.sensors.area`). Without it each vehicle has its own.
+        Seed of an area that all vehicles share: atmosphere, reference station and outages of its network
+        (:mod:`.sensors.area`). Navigators with the same seed, clock and sky share it too. None: one for each vehicle.
 
     Raises
     ------
@@ -243,7 +243,7 @@ class Navigator:
 
     Attributes
     ----------
-    radial_levels : each of the two levels of this kind bounds the whole horizontal error
+    radial_levels : whether each of the two levels bounds the whole horizontal error
     """
 
     radial_levels: ClassVar[bool] = False
@@ -395,10 +395,10 @@ class Navigator:
         sigma_heading_rad: float,
         rows: Rows | slice = slice(None),
     ) -> None:
-        """Give the vehicles of ``rows`` (all by default) a prior position and heading, as from a drive before.
+        """Set position and heading of the vehicles of ``rows`` (all by default), with their standard deviations.
 
-        position_en_m (n, 2), heading_rad (n,) azimuths; 1-sigma on each horizontal axis and of the heading. The
-        errors since the last position begin anew; what describes sensors (gyro bias), and the alert, may stay.
+        position_en_m (n, 2), heading_rad (n,) azimuths; 1-sigma on each horizontal axis and of the heading. Errors
+        that grow between positions begin anew. Estimates of sensor errors (gyro bias) and the alert may stay.
 
         Raises
         ------

@@ -74,7 +74,7 @@ class Solution:
     corrections_age_s : (B,) age of the reference data (inf when the link is out)
     wrong_fix_risk : (B,) probability that the held ambiguities are wrong
     held : (B, S) bool, satellites whose ambiguities are fixed and held
-    doubt_en_m : (B, 2) RTK's position less the one reckoned while RTK is not believed, which the levels cover; else 0
+    doubt_en_m : (B, 2) RTK less dead reckoning while RTK is not trusted; levels cover it; else 0
         (:mod:`~lanebound.integrity.monitoring.jump_kernel`)
     model_curved : (B,) probability of the curved vehicle model of a filter; 0 of other kinds
     nis_position, nis_wheels, nis_gyro, nis_steering, nis_slip, nis_compass : (B,) normalised innovation squared of the

@@ -177,7 +177,7 @@ class FaultKind:
     not_tried_because : reason why the fault campaign omits the kind
     in_blackout : the fault campaign tries the kind without satellites, because with satellites it has no effect
     broadcast : the fault changes what a vehicle broadcasts; the fault campaign judges what the receivers believe
-    prior : how often random faults of the kind begin by default: never
+    prior : rate and duration of random faults of the kind; by default there are none
     prior_source : source of the prior, for the docs
 
     Raises

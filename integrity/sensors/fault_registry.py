@@ -246,8 +246,8 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="wrong_fix",
-        summary="the integers that RTK fixes: those of the wrong candidate of a rank by fit, which moves the position "
-        "to the side of the azimuth; or off by cycles, of satellites named or in `integers`",
+        summary="RTK fixes wrong integers: the candidate of a rank by fit that moves the position to the side of the "
+        "azimuth, or the right ones plus cycles, of a satellite, a system or `integers`",
         apply=_wrong_fix,
         magnitudes=(
             Magnitude("rank", "magnitude_rank", ge=1, le=MOST_RANK, signed=False, whole=True),

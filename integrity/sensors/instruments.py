@@ -50,9 +50,9 @@ SENSE_US = 6.0  # of one thread for a vehicle and epoch, measured
 
 @dataclass(frozen=True)
 class Measurements:
-    """All that positioning may know of one epoch: the outputs of the instruments, and where the satellites are.
+    """The measurements of one epoch and the directions of satellites: all that positioning may use.
 
-    ``given`` holds the records (:func:`observed`) that the arrays are fields of, None where they are the user's own.
+    ``given`` holds the records (:func:`observed`) of which the arrays are fields; None for arrays of the user.
     """
 
     time_s: float

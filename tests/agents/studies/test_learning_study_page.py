@@ -78,10 +78,9 @@ def test_pages_are_written_of_what_is_there(tmp_path: Path) -> None:
     rows.append(training("taught", 2, 1.5))
     source = tmp_path / f"{NAME}.json"
     source.write_text(json.dumps(rows), encoding="utf-8")
-    write_page(source, tmp_path)
+    table = write_page(source, tmp_path)
     page = (tmp_path / f"{NAME}.md").read_text(encoding="utf-8")
     assert "of 5 trainings" in page
-    assert "| `lagrangian` | 2 of 2 | 14.5 [14.5, 14.5] |" in page
-    assert "| `taught` | 1 of 3 |" in page
-    assert "| `taught` less `lagrangian` | 26 [26, 26], p" in page
+    assert "| LaneKeeping, urban | 14±0 at 14±0 (2) |" in table
+    assert "| `taught` - `lagrangian` | LaneKeeping, urban | 26 [26, 26]" in page
     assert (tmp_path / "value_of_integrity-curves-1.png").stat().st_size > 1000
