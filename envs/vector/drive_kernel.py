@@ -107,7 +107,7 @@ def _course(e, frames, ends, codes, cars, drivers, egos, motions, rules, traffic
     """:func:`run_course` for environment e; ``scratch``: for :func:`vehicles_in`."""
     ego, world, lanes, dt = egos[e], traffic.world[0], traffic.lanes, rules.step_s
     here = cars[e, : ego.vehicles]
-    v = _begin(e, codes, here, drivers[e], ego, lanes, traffic, *scratch)
+    v = _begin(e, codes, here, drivers[e], ego, lanes, traffic, scratch[0], scratch[1])
     for frame in range(frames):
         steering, acceleration, hold = command_ego(ego, v, lanes, traffic.roads.routes, rules)
         move_ego(v, steering, acceleration, hold, world, lanes, dt)
