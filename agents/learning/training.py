@@ -150,7 +150,7 @@ def train(
     teacher = teacher_of(experiment)
     progress = _progress(experiment, out)
     make_folder(out)
-    with locked(out), closing(for_learning(experiment, processes)) as env, one_thread():
+    with locked(out), one_thread(), closing(for_learning(experiment, processes)) as env:
         model = _model(experiment, env, out)
         _folder(experiment, out).claim()  # not earlier: a refused setting must leave no manifest
         begun = (out / LAST).exists()
