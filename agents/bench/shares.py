@@ -9,11 +9,11 @@ import statistics
 import time
 from collections.abc import Callable
 from contextlib import closing
+from importlib import import_module
 from typing import Any
 
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common import on_policy_algorithm
 
 from lanebound.agents.bench.rows import Row
 from lanebound.agents.learning.training import one_thread
@@ -53,14 +53,15 @@ def _shares(model: PPO, env: EngineVecEnv, rounds: int) -> dict[str, float]:
         (model.rollout_buffer, "add", "copy"),
     ):
         setattr(owner, method, _timed(getattr(owner, method), spent, name))
-    to_torch = on_policy_algorithm.obs_as_tensor
-    on_policy_algorithm.obs_as_tensor = _timed(to_torch, spent, "copy")
+    rollouts: Any = import_module("stable_baselines3.common.on_policy_algorithm")  # imports the function of the copy
+    to_torch = rollouts.obs_as_tensor
+    rollouts.obs_as_tensor = _timed(to_torch, spent, "copy")
     try:
         begun = time.process_time()
         model.learn(rounds * COUNT * STEPS, reset_num_timesteps=False)
         total = time.process_time() - begun
     finally:
-        on_policy_algorithm.obs_as_tensor = to_torch
+        rollouts.obs_as_tensor = to_torch
     spent["environment"] -= spent["step"] + spent["reset"]
     spent["rest"] = total - sum(spent.values())
     return {name: seconds / total for name, seconds in sorted(spent.items(), key=lambda item: -item[1])}

@@ -143,8 +143,9 @@ def run_curves(config: CurvesConfig, out: Path, on_progress: OnProgress = ignore
     """
     for env in config.envs:
         experiment_of(config, env)
-    ids = {"growing": ("ids",), "fixed": {**config.to_dict(), "envs": None, "ids": dict.fromkeys(config.envs, True)}}
-    ResultFolder(out, "learning curves", config.to_dict(), code_digest(*PACKAGES), **ids).claim()
+    fixed = {**config.to_dict(), "envs": None, "ids": dict.fromkeys(config.envs, True)}
+    source = code_digest(*PACKAGES)
+    ResultFolder(out, "learning curves", config.to_dict(), source, fixed=fixed, growing=("ids",)).claim()
     parts = run_parts(out, list(config.envs), partial(_learn, config, out), 1, on_progress)
     found = {"config": config.to_dict(), "ids": parts}
     write_json(out / "results.json", found)
@@ -173,7 +174,7 @@ def _learn(config: CurvesConfig, out: Path, env: str, advance: Advance) -> dict[
         model = load_model(out / "trainings" / env / "last.zip", planned.algorithm)
         rest = config.held_out(config.final_seeds)
         with closing(planned.open()) as single:
-            drivers = {LEARNT: model, **{name: make_agent(name, single) for name in BESIDE}}
+            drivers: dict[str, Any] = {LEARNT: model, **{name: make_agent(name, single) for name in BESIDE}}
         final = {}
         for n, (name, driver) in enumerate(drivers.items()):
             final[name] = _kept(folder / f"{name}.json", partial(drive_all, planned, driver, rest))

@@ -45,14 +45,14 @@ class ScalePoint(NamedTuple):
     Attributes
     ----------
     table, value : where it stands: the quantity that is changed, and its value
-    what, env, count, config : name of the configuration, id, number of environments, and configuration
+    what, env, envs, config : name of the configuration, id, number of environments, and configuration
     """
 
     table: str
     value: float
     what: str
     env: str
-    count: int
+    envs: int
     config: Mapping[str, Any]
 
     @property
@@ -85,8 +85,8 @@ def points(quick: bool = False) -> list[ScalePoint]:
 def _few(every: Sequence[ScalePoint]) -> list[ScalePoint]:
     found: list[ScalePoint] = []
     for point in every:
-        if sum(one.table == point.table for one in found) < 2 and point.count <= 64:
-            found.append(point._replace(count=min(point.count, 4)))
+        if sum(one.table == point.table for one in found) < 2 and point.envs <= 64:
+            found.append(point._replace(envs=min(point.envs, 4)))
     return found
 
 
@@ -109,7 +109,7 @@ def run_scale(out: Path, quick: bool = False, on_progress: OnProgress = ignore) 
 def _size(point: ScalePoint) -> float:
     """About the time of a point [s]."""
     others = point.config.get("world", {}).get("vehicles_count", 0) if point.what == "receivers" else 0
-    return 3.0 + 0.01 * point.count * (1.0 + others)
+    return 3.0 + 0.01 * point.envs * (1.0 + others)
 
 
 def _of_name(wanted: Mapping[str, ScalePoint], name: str, advance: Advance) -> dict[str, float]:
@@ -119,7 +119,7 @@ def _of_name(wanted: Mapping[str, ScalePoint], name: str, advance: Advance) -> d
 
 def _measure(point: ScalePoint, advance: Advance) -> dict[str, float]:
     """Times of one core and memory of a point: of all its environments together."""
-    kind, count = engines()[f"lanebound/{point.env}-v0"], point.count
+    kind, count = engines()[f"lanebound/{point.env}-v0"], point.envs
     with closing(kind(1, point.config, "Disabled")) as first:  # compiles or loads the kernels, and fills caches
         first.reset(seed=SEED)
         first.step(_actions(first))
@@ -184,7 +184,8 @@ def fit(x: Sequence[float], y: Sequence[float]) -> Line:
     (fixed, each), *_ = np.linalg.lstsq(rows, np.ones(at.size), rcond=None)
     off = values / (fixed + each * at) - 1.0
     worst = int(np.argmax(np.abs(off)))
-    return Line(*(float(f"{v:.6g}") for v in (fixed, each)), round(float(off[worst]), 6) + 0.0, float(at[worst]))
+    a, b = (float(f"{v:.6g}") for v in (fixed, each))
+    return Line(a, b, round(float(off[worst]), 6) + 0.0, float(at[worst]))
 
 
 # Tables
@@ -218,7 +219,7 @@ def _table(result: Mapping[str, Any], table: str) -> Table:
         steps, memory = ([_value(point, key, whole) for point in found] for key in ("step_s", "held"))
         lines = [fit(x, y) for y in (steps, memory)] if len(x) > 2 else []
         for n, point in enumerate(found):
-            count = point["count"]
+            count = point["envs"]
             off = [values[n] / (line.fixed + line.each * x[n]) - 1.0
                    for values, line in zip((steps, memory), lines, strict=False)]  # fmt: skip
             rows.append((
@@ -238,7 +239,7 @@ def _table(result: Mapping[str, Any], table: str) -> Table:
 
 
 def _value(point: Mapping[str, Any], key: str, whole: bool) -> float:
-    return float(point[key]) if whole else float(point[key]) / float(point["count"])
+    return float(point[key]) if whole else float(point[key]) / float(point["envs"])
 
 
 def plan(result: Mapping[str, Any]) -> Table:
@@ -249,7 +250,7 @@ def plan(result: Mapping[str, Any]) -> Table:
             continue
         x = [point["value"] for point in found]
         step, held = (fit(x, [point[key] for point in found]) for key in ("step_s", "held"))
-        reset = found[-1]["reset_s"] / found[-1]["count"]
+        reset = found[-1]["reset_s"] / found[-1]["envs"]
         a_step = step.each + step.fixed / SIDE_BY_SIDE
         for length in (20, 100, 1000):
             seconds = a_step + reset / length

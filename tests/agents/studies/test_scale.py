@@ -21,10 +21,10 @@ def test_each_table_has_its_points_under_names_of_their_own() -> None:
     every = points()
     assert len({point.name for point in every}) == len(every)
     assert {point.table for point in every} == set(scale.SECTIONS[:-1])
-    assert max(point.count for point in every) == 8192
+    assert max(point.envs for point in every) == 8192
     few = points(quick=True)
     assert {point.table for point in few} == set(scale.SECTIONS[:-1])
-    assert max(point.count for point in few) <= 4
+    assert max(point.envs for point in few) <= 4
     assert not any("surrogate" in str(point.config) for point in few)
 
 
@@ -67,7 +67,7 @@ def test_points_are_measured_once_and_shown_in_tables(tmp_path: Path, monkeypatc
 
 def test_a_plan_multiplies_the_line_by_the_steps() -> None:
     counts = (1, 10, 100)
-    measured = [{**FEW[0]._asdict(), "value": n, "count": n, "step_s": 1e-4 * n, "reset_s": 1e-3 * n, "held": 1e6 * n}
+    measured = [{**FEW[0]._asdict(), "value": n, "envs": n, "step_s": 1e-4 * n, "reset_s": 1e-3 * n, "held": 1e6 * n}
                 for n in counts]  # fmt: skip
     _, rows = plan({"points": measured})
     what, length, us, core_hours, hours, gigabytes = rows[0]
