@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
+import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
@@ -25,6 +27,7 @@ from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
 from lanebound.envs.info import info_entries
 from lanebound.envs.vector.env import VectorDrivingEnv, WrappedVectorEnv, engines
 from lanebound.envs.worlds import world_kind
+from lanebound.integrity.core.accel import LOGGER
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
@@ -82,6 +85,8 @@ class EngineVecEnv(VecEnv):
         else:
             self.envs = driven[env_id](num_envs, config, AutoresetMode.SAME_STEP)
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
+        if (threads := torch.get_num_threads()) > 1:
+            _advise_one_thread(threads)
         self.arrays: dict[str, Any] = {}
         self._keys = tuple(keys)
         self._actions: NDArray[Any] | None = None
@@ -183,6 +188,16 @@ class EngineVecEnv(VecEnv):
     def _count(self, indices: Any) -> int:
         rows: Iterable[int] = self._get_indices(indices)
         return len(list(rows))
+
+
+@cache
+def _advise_one_thread(threads: int) -> None:
+    """Log, once, that one thread of torch is better for networks as small as those of policies."""
+    LOGGER.warning(
+        "lanebound: torch computes on %d threads. Call torch.set_num_threads(1): the networks of policies are so small "
+        "that more threads mostly wait, and beside other busy processes learning takes many times as long.",
+        threads,
+    )
 
 
 def _as_ended(infos: dict[str, Any], over: NDArray[np.bool_]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from lanebound.agents.cli import (
     bench,
     benchmark,
     config,
+    curves,
     drive,
     envs,
     fit,
@@ -85,6 +86,7 @@ app.command("train")(train.train)
 app.command("evaluate")(train.evaluate)
 app.command("export")(train.export)
 app.command("study")(study.study)
+app.command("curves")(curves.curves)
 app.command("replay-episode")(replay.replay_episode)
 app.command("replay")(recorded.replay)
 app.command("rtk")(recorded.rtk)

@@ -32,10 +32,20 @@ def train(
     name: Annotated[str, typer.Argument(metavar="EXPERIMENT", help="One of ours, or a YAML file.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the checkpoints; the last one is resumed.")],
     jobs: Annotated[int, typer.Option(min=1, help="1: environments in this process; more: each in its own.")] = 1,
+    others: Annotated[
+        str | None,
+        typer.Option(
+            metavar="full|surrogate",
+            help="Neighbours in training: surrogate (recorded errors, fast) where possible, or full.",
+        ),
+    ] = None,
     assignments: Assignments = None,
     _plugins: Plugins = None,
 ) -> None:
     """Train a policy, or resume its training; the best within the limit of cost is stored as best.zip, with a card.
+
+    Neighbours that broadcast are recorded ones in training, where these can be; a policy is judged with neighbours as
+    the configuration says, which is with receivers by default.
 
     Decisions of imitation come before the experiment's steps. A resumed training has other episodes than an
     uninterrupted one.
@@ -45,17 +55,20 @@ def train(
     from lanebound.agents.cli.early import refuse_preset
     from lanebound.agents.cli.keys import refuse_keys
 
-    given = changes(assignments)
+    given = changes(assignments, others=others)
     if not _plugins:
         refuse_keys("experiment", given)
     refuse_preset("experiment", "experiments/", name)
     from lanebound.agents.cli.progress import resumable, with_bar
     from lanebound.agents.learning.experiment import load_experiment
     from lanebound.agents.learning.imitation import teacher_of
+    from lanebound.agents.learning.others import choose_others
 
-    experiment = load_experiment(name, given)
+    experiment, line = choose_others(load_experiment(name, given))
     if teacher_of(experiment) is None:  # which opens the environment: refusals come before the work
         experiment.open().close()
+    if line:
+        typer.echo(line, err=True)
     with resumable(lambda: _kept(out)):
         rows, idle = with_bar("decisions", lambda on_progress: _trained(experiment, out, jobs, on_progress))
     if idle:

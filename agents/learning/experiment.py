@@ -28,6 +28,7 @@ __all__ = [
     "Algorithm",
     "ExperimentConfig",
     "ImitationConfig",
+    "Others",
     "Shield",
     "load_experiment",
     "require_settings",
@@ -192,6 +193,13 @@ class Shield(StrEnum):
     CBF = "cbf"
 
 
+class Others(StrEnum):
+    """What the broadcasts of other vehicles come from, as in ``perception.others``."""
+
+    FULL = "full"
+    SURROGATE = "surrogate"
+
+
 class ExperimentConfig(Config):
     """All inputs of a training."""
 
@@ -212,6 +220,11 @@ class ExperimentConfig(Config):
         "(shares, -1 to 1): without it a policy relies on the filter and does not learn the road; chosen",
     )
     engine: bool | None = Field(None, description="whether the vector engine drives; None: where it can")
+    others: Others | None = Field(
+        None,
+        description="perception.others in training alone; evaluations follow ``overrides``; None: those of "
+        "``overrides``, else surrogate where it can be",
+    )
     steps: int = Field(200_000, ge=1, description="decisions of learning by reward, of all environments")
     count: int = Field(4, ge=1, le=4096, description="environments side by side")
     seed: int = Field(0, ge=0, description="of networks, draws and environments")
@@ -263,6 +276,18 @@ class ExperimentConfig(Config):
     def env_overrides(self) -> dict[str, Any]:
         """Changes of the preset of the environment's id; observations are flat."""
         return deep_merge(deep_merge({"sky": self.sky}, self.overrides), FLAT)
+
+    @property
+    def own_others(self) -> str | None:
+        """``perception.others`` of the overrides; None where they say nothing."""
+        perception = self.overrides.get("perception")
+        return perception.get("others") if isinstance(perception, Mapping) else None
+
+    def as_learnt(self) -> ExperimentConfig:
+        """The experiment in whose environments the policy learns: others broadcast as ``others`` says."""
+        if self.others is None:
+            return self
+        return self.replace(overrides=deep_merge(self.overrides, {"perception": {"others": str(self.others)}}))
 
     def as_driver_sees(self) -> ExperimentConfig:
         """The experiment with the observations of the imitated driver."""

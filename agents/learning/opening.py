@@ -11,6 +11,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from lanebound.agents.benchmark.suite import SPLITS
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.learning.experiment import ExperimentConfig, Shield
+from lanebound.agents.learning.others import choose_others
 from lanebound.agents.learning.shield import VecShielded
 from lanebound.agents.plugins import load_plugins, loaded_plugins
 from lanebound.agents.vec_env import EngineVecEnv
@@ -23,7 +24,7 @@ __all__ = ["episode_seeds", "for_judging", "for_learning"]
 
 
 def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
-    """The environments of a training, seeded for its beginning.
+    """The environments of a training, seeded for its beginning; others broadcast as :func:`.choose_others` decides.
 
     Parameters
     ----------
@@ -34,6 +35,7 @@ def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
     ConfigError, InputError
         The environment refuses its configuration, or the engine must drive and cannot.
     """
+    experiment = choose_others(experiment).experiment.as_learnt()
     env = _in_engine(experiment, experiment.count)
     if env is None:
         makers: list[Any] = [_Maker(experiment)] * experiment.count

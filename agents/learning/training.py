@@ -34,9 +34,10 @@ from lanebound.agents.checkpointing.folder import ResultFolder, locked
 from lanebound.agents.drivers.origin import EXPERIMENT, add_text, name_inputs
 from lanebound.agents.learning.algorithms import class_of, make_model, require_known
 from lanebound.agents.learning.evaluation import evaluate
-from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
+from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Others
 from lanebound.agents.learning.imitation import Teacher, imitate, teacher_of
 from lanebound.agents.learning.opening import episode_seeds, for_learning
+from lanebound.agents.learning.others import choose_others
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.episode_totals import EPISODE_KEY
 from lanebound.integrity.core.accel import serial
@@ -66,6 +67,7 @@ def write_card(experiment: ExperimentConfig, row: Mapping[str, Any], path: Path)
         c.to_json(),
         "```",
         "",
+        *_of_others(c),
         f"Means of {c.evaluation_episodes} episodes on the last training seeds, without exploration. The checkpoint",
         "was chosen by these, so they flatter it: `lanebound evaluate` takes seeds that nothing was chosen by.",
         "",
@@ -83,10 +85,19 @@ def write_card(experiment: ExperimentConfig, row: Mapping[str, Any], path: Path)
     path.write_text("\n".join(lines), encoding="utf-8")
 
 
+def _of_others(experiment: ExperimentConfig) -> list[str]:
+    """Lines of a card on what the others broadcast; none where they broadcast nothing."""
+    learnt, judged = experiment.others, experiment.own_others or Others.FULL
+    return (
+        [] if learnt is None else [f"Other vehicles (`perception.others`): {learnt} in training, {judged} below.", ""]
+    )
+
+
 PROGRESS, BEST, CARD = "progress.json", "best.zip", "best.md"
 LAST, REPLAY, IMITATION = "last.zip", "last-replay.pkl", "imitation.pt"
 NOT_FINITE = ("Expected parameter", "without overflow")
 """Parts of torch's messages about distributions with NaN parameters, and about overflow."""
+Judge = Callable[[ExperimentConfig, BaseAlgorithm], dict[str, float]]
 INTEGRITY = ("availability", "alert_share", "alerts", "mi_steps", "hmi_steps", "pl_at_mean_m", "pl_ct_mean_m")
 
 
@@ -114,14 +125,19 @@ def train(
     on_checkpoint: Callable[[Checkpoint], None] = lambda checkpoint: None,
     stepped: Callable[[int], None] = lambda steps: None,
     imitated: Callable[[int], None] = lambda decisions: None,
+    judge: Judge | None = None,
 ) -> list[dict[str, Any]]:
     """Carry out an experiment, or resume it in ``out``; returns the evaluations.
+
+    Other vehicles broadcast in training as :func:`.choose_others` decides, which the manifest, the card and the
+    checkpoints hold as ``others``; evaluations are in the configuration of the experiment.
 
     Parameters
     ----------
     processes : of single environments, spawned; with 1, or in the vector engine, they run in this one
     on_checkpoint : called after each checkpoint
     stepped, imitated : called with the number of decisions at every step, of learning by reward and of imitation
+    judge : evaluates the policy of a checkpoint in place of :func:`.evaluate`; none is chosen as the best then
 
     Raises
     ------
@@ -130,10 +146,11 @@ def train(
         diverged.
     """
     require_known(experiment)
+    experiment = choose_others(experiment).experiment
     teacher = teacher_of(experiment)
     progress = _progress(experiment, out)
     make_folder(out)
-    with locked(out), closing(for_learning(experiment, processes)) as env, one_thread():
+    with locked(out), one_thread(), closing(for_learning(experiment, processes)) as env:
         model = _model(experiment, env, out)
         _folder(experiment, out).claim()  # not earlier: a refused setting must leave no manifest
         begun = (out / LAST).exists()
@@ -143,7 +160,9 @@ def train(
                 imitate(teacher, model, shown, imitated, out / IMITATION)
             begun = True
         if begun and all(row["steps"] != model.num_timesteps for row in progress):
-            on_checkpoint(_checkpoint(experiment, model, out, progress))  # an interrupted run may have it already
+            on_checkpoint(
+                _checkpoint(experiment, model, out, progress, judge)
+            )  # an interrupted run may have it already
         if model.num_timesteps:  # a loaded model has its first seed: it would repeat the same noise
             set_random_seed(episode_seeds(experiment, model.num_timesteps, "learning"))
         env.seed(episode_seeds(experiment, model.num_timesteps))  # stable-baselines3 has seeded it otherwise
@@ -152,7 +171,7 @@ def train(
             chunk = min(experiment.checkpoint_steps, experiment.steps - model.num_timesteps)
             with _converging(model, out, "settings.learning_rate"):
                 model.learn(chunk, callback=watch, reset_num_timesteps=model.num_timesteps == 0, tb_log_name="run")
-            on_checkpoint(_checkpoint(experiment, model, out, progress))
+            on_checkpoint(_checkpoint(experiment, model, out, progress, judge))
     return progress
 
 
@@ -263,12 +282,12 @@ def _progress(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
 
 
 def _checkpoint(
-    experiment: ExperimentConfig, model: BaseAlgorithm, out: Path, progress: list[dict[str, Any]]
+    experiment: ExperimentConfig, model: BaseAlgorithm, out: Path, progress: list[dict[str, Any]], judge: Judge | None
 ) -> Checkpoint:
     """Evaluate the present policy and store it; ``progress`` grows by its evaluation."""
-    found = evaluate(experiment, model)
+    found = evaluate(experiment, model) if judge is None else judge(experiment, model)
     progress.append({"steps": model.num_timesteps, **found})
-    best = is_best(progress, _limit_of_best(experiment))
+    best = judge is None and is_best(progress, _limit_of_best(experiment))
     _keep(experiment, model, out, best)
     if best:
         write_card(experiment, progress[-1], out / CARD)

@@ -198,7 +198,8 @@ class NavigationBatch:
     @property
     def nbytes(self) -> int:
         """Memory of the arrays that have a row for each environment or vehicle."""
-        return _size_of(self.navigator.state) + self.motions.nbytes
+        held = self.navigator.state, self.measurements, self.solution, self.sky, self.motions, self.fixes
+        return sum(_sizes(held).values())
 
     def at(self, rows: Rows) -> Rows:
         """The rows of the egos among all vehicles."""
@@ -404,8 +405,10 @@ def _present(rows: Rows, cars: Records, vehicles: int) -> Flags:
     return there
 
 
-def _size_of(state: object) -> int:
-    """Bytes of the arrays of a state, and of the states in it."""
-    parts = vars(state).values()
-    return sum(part.nbytes if isinstance(part, np.ndarray) else _size_of(part) if is_dataclass(part) else 0
-               for part in parts)  # fmt: skip
+def _sizes(part: object) -> dict[int, int]:
+    """Bytes of the arrays in records, states and measurements at any depth, each array once."""
+    if isinstance(part, np.ndarray):
+        whole = part if part.base is None else part.base
+        return {id(whole): part.nbytes if part.base is None else getattr(whole, "nbytes", part.nbytes)}
+    parts = part if isinstance(part, tuple | list) else vars(part).values() if is_dataclass(part) else ()
+    return {name: size for inner in parts for name, size in _sizes(inner).items()}

@@ -15,6 +15,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
+from lanebound.agents import vec_env
 from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs.episode_totals import EPISODE_KEY
 from lanebound.envs.ids import META, Preset, register_id
@@ -202,3 +203,14 @@ def test_what_it_cannot_do_is_refused() -> None:
     env.set_options({"fault": []})
     with pytest.raises(InputError, match=r"options must be among faults, got 'fault': correct the name"):
         env.reset()
+
+
+def test_more_threads_of_torch_than_one_are_advised_against_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    vec_env._advise_one_thread.cache_clear()
+    for threads in (1, 3, 3):
+        monkeypatch.setattr("torch.get_num_threads", lambda threads=threads: threads)
+        EngineVecEnv("lanebound/Highway-v0", 1, CONFIG).close()
+    assert [record.getMessage().partition(":")[0] for record in caplog.records] == ["lanebound"]
+    assert "torch computes on 3 threads. Call torch.set_num_threads(1)" in caplog.text

@@ -61,7 +61,8 @@ def test_a_network_of_a_policy_under_normalization_takes_plain_observations(tmp_
 )
 def test_a_network_answers_as_its_policy_does(tmp_path: Path, algorithm: str, env: str) -> None:
     settings = SETTINGS.get(algorithm, SETTINGS["ppo_lagrangian"] | {"policy_kwargs": {}})
-    planned = experiment(algorithm=algorithm, env=env, steps=64, settings=settings, overrides=STILL)
+    others = "full" if env == "UrbanCanyon" else None
+    planned = experiment(algorithm=algorithm, env=env, steps=64, settings=settings, overrides=STILL, others=others)
     train(planned, tmp_path)
     path = export_onnx(tmp_path, tmp_path / "deep" / "net.onnx")
     assert [p.name for p in path.parent.iterdir()] == ["net.onnx"]

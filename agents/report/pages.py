@@ -1,0 +1,58 @@
+"""Tables of Markdown pages that commands write: each stands between ``<!-- NAME -->`` and ``<!-- end of NAME -->``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from lanebound.integrity.core.errors import InputError
+
+__all__ = ["Table", "fill", "require_page", "text_of"]
+
+Table = tuple[Sequence[str], Sequence[Sequence[str]]]
+"""Heads of the columns, and rows."""
+
+
+def require_page(path: Path, names: Iterable[str]) -> None:
+    """Refuse a page that lacks a place for a table, before anything is measured.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or has no such place.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"page must be a file that can be read, got {path} ({error}): correct the path") from None
+    for name in names:
+        begin, end = _marks(name)
+        if not 0 <= text.find(begin) < text.find(end):
+            raise InputError(f"page must have the lines {begin} and {end}, got {path} without: add them")
+
+
+def fill(path: Path, tables: Mapping[str, Table]) -> None:
+    """Write tables into their places in a page.
+
+    Raises
+    ------
+    InputError
+        As :func:`require_page`.
+    """
+    require_page(path, tables)
+    text = path.read_text(encoding="utf-8")
+    for name, table in tables.items():
+        begin, end = _marks(name)
+        head, _, rest = text.partition(begin)
+        text = f"{head}{begin}\n\n{text_of(table)}\n\n{end}{rest.partition(end)[2]}"
+    path.write_text(text, encoding="utf-8")
+
+
+def text_of(table: Table) -> str:
+    """A table in Markdown."""
+    heads, rows = table
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, ["---"] * len(heads), *rows))
+
+
+def _marks(name: str) -> tuple[str, str]:
+    return f"<!-- {name} -->", f"<!-- end of {name} -->"
