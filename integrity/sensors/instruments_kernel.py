@@ -18,9 +18,9 @@ from lanebound.integrity.sensors.gnss_kernel import (
     NORMALS,
     UNIFORMS,
     Effects,
-    Observed,
     Receiver,
     ReceiverDraws,
+    Sensed,
     observe_vehicle,
 )
 from lanebound.integrity.sensors.imu_kernel import IMU_RULES
@@ -131,7 +131,7 @@ def sense(first, last, epoch, rules, areas, sensors, draws, mask, sky, truths, e
     draws : Draws of DRAWN_STREAMS; vehicles with one generator for all have drawn before
     mask, sky : MaskRows and SatelliteRows
     truths, effects : (B,) of TRUTH; Effects
-    observed : Observed, filled but for the sight, which is read
+    observed : Sensed, filled but for the sight, which is read
     """
     moved, (signals, vehicles) = effects.vehicles, observed
     par, satellites, latest = rules[0], signals.shape[1], -1
@@ -158,7 +158,7 @@ def sense(first, last, epoch, rules, areas, sensors, draws, mask, sky, truths, e
             par.gnss, areas.sites[a], areas.slow[a],
             Receiver(sensors.receivers[v], sensors.signals[v], sensors.held[v]),
             ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), sky, reception,
-            truth, Effects(effects.signals[v], moved[v]), Observed(signals[v], out), work[0],
+            truth, Effects(effects.signals[v], moved[v]), Sensed(signals[v], out), work[0],
         )  # fmt: skip
         imu_kernel.measure(par.imu, sensors.inertial[v], z.imu, truth, moved[v].gyro_bias_radps, out)
         odometer_kernel.measure(par.odometer, sensors.wheels[v], z.odometer, truth.distance, moved[v], out)
