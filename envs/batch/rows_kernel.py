@@ -158,6 +158,8 @@ def conclude_rows(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Score a policy step, or a start, and observe: one call, as each array of a call takes 0.1 to 0.5 us.
 
+    More than 12 parameters: with lanes, routes and views in records of records a call takes 2 us longer, of 11.
+
     picture (N,) PICTURE, perceived (N, P) PERCEIVED; path_of (Q, L): row of the path from each lane, by ``ego.route``;
     ahead: what satellites are predicted from, None where they are not; sources (E,) SOURCE of the frames (N, E).
     """

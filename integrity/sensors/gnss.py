@@ -457,7 +457,7 @@ def observe(
     gk.observe(
         gnss_parameters(config, truth.dt_s), area.site, area.memory,
         gk.Receiver(state.vehicles, state.signals, message), draws, sky.rows, reception.records, truth.records,
-        gk.Effects(effects.signals, effects.vehicles), gk.Observed(signals, vehicles),
+        gk.Effects(effects.signals, effects.vehicles), gk.Sensed(signals, vehicles),
     )  # fmt: skip
     return gnss_epoch(signals, vehicles)
 

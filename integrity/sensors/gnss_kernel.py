@@ -38,9 +38,9 @@ __all__ = [
     "STATION_NOISE",
     "UNIFORMS",
     "Effects",
-    "Observed",
     "Receiver",
     "ReceiverDraws",
+    "Sensed",
     "observe",
     "observe_vehicle",
 ]
@@ -184,7 +184,7 @@ class Effects(NamedTuple):
     vehicles: Records
 
 
-class Observed(NamedTuple):
+class Sensed(NamedTuple):
     """What vehicles (...) measure: signals (..., S) of OBSERVED_SIGNAL, vehicles of OBSERVED_VEHICLE."""
 
     signals: Records
@@ -402,7 +402,7 @@ def observe_vehicle(rules, site, slows, own, draws, sky, reception, truth, of_fa
     sky : SatelliteRows
     reception : (S,) of RECEPTION, how each signal arrives; its path becomes what is tracked
     truth : TRUTH of the antenna
-    of_faults, observed : Effects; Observed, whose signals are filled, and of whose vehicle sight and age are read
+    of_faults, observed : Effects; Sensed, whose signals are filled, and of whose vehicle sight and age are read
     work : WORK, scratch
     """
     receiver, memory, held = own
@@ -473,5 +473,5 @@ def observe(rules, sites, slows, receivers, draws, sky, reception, truths, effec
             rules[0], sites[a], slows[a], Receiver(receivers.clock[v], receivers.signals[v], receivers.held[v]),
             ReceiverDraws(draws.normals[v], draws.uniforms[v], draws.near[v], draws.clock[v]), sky, reception[v],
             truths[v], Effects(effects.signals[v], effects.vehicles[v]),
-            Observed(observed.signals[v], observed.vehicles[v]), work[0],
+            Sensed(observed.signals[v], observed.vehicles[v]), work[0],
         )  # fmt: skip

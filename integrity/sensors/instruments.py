@@ -32,7 +32,7 @@ from lanebound.integrity.sensors.gnss import (
     gnss_parameters,
     undifferenced,
 )
-from lanebound.integrity.sensors.gnss_kernel import Effects, Observed
+from lanebound.integrity.sensors.gnss_kernel import Effects, Sensed
 from lanebound.integrity.sensors.imu import ImuConfig, ImuSample, ImuState, imu_parameters
 from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL, OBSERVED_VEHICLE
 from lanebound.integrity.sensors.odometer import OdometerConfig, OdometerSample, OdometerState, odometer_parameters
@@ -167,7 +167,7 @@ class Instruments:
         run_rows(
             kernel.sense, truth.batch, s.area.network.epoch, self.rules, s.area.rows, sensors,
             self._draws(s.streams, truth.batch, sky.satellites), mask.rows, sky.rows, truth.records,
-            Effects(effects.signals, effects.vehicles), Observed(signals, vehicles), row_us=SENSE_US,
+            Effects(effects.signals, effects.vehicles), Sensed(signals, vehicles), row_us=SENSE_US,
         )  # fmt: skip
         m = Measurements(
             truth.time_s, sky, self._receiver(s, sky, mask, truth, effects, gnss_epoch(signals, vehicles)),

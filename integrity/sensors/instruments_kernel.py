@@ -19,9 +19,9 @@ from lanebound.integrity.sensors.gnss_kernel import (
     NORMALS,
     UNIFORMS,
     Effects,
-    Observed,
     Receiver,
     ReceiverDraws,
+    Sensed,
     observe_vehicle,
 )
 from lanebound.integrity.sensors.imu_kernel import IMU_RULES
@@ -141,7 +141,7 @@ def sense(first, last, epoch, rules, areas, sensors, draws, mask, sky, truths, e
     draws : Draws of DRAWN_STREAMS; vehicles with one generator for all have drawn before
     mask, sky : MaskRows and SatelliteRows
     truths, effects : (B,) of TRUTH; Effects
-    observed : Observed, filled but for the sight, which is read
+    observed : Sensed, filled but for the sight, which is read
     """
     vehicles, satellites, latest = observed.vehicles, observed.signals.shape[1], -1
     cells, reception = np.empty(satellites, np.int64), np.empty(satellites, RECEPTION)
@@ -175,7 +175,7 @@ def sense_vehicle(v, epoch, par, areas, sensors, draws, mask, sky, truth, effect
         par.gnss, areas.sites[a], areas.slow[a],
         Receiver(sensors.receivers[v], sensors.signals[v], sensors.held[v]),
         ReceiverDraws(normals.view(NORMALS), uniforms.view(UNIFORMS), near.view(NEAR), z.clock), sky, scratch.reception,
-        truth, Effects(effects.signals[v], moved), Observed(observed.signals[v], out), scratch.work[0],
+        truth, Effects(effects.signals[v], moved), Sensed(observed.signals[v], out), scratch.work[0],
     )  # fmt: skip
     imu_kernel.measure(par.imu, sensors.inertial[v], z.imu, truth, moved.gyro_bias_radps, out)
     odometer_kernel.measure(par.odometer, sensors.wheels[v], z.odometer, truth.distance, moved, out)
