@@ -270,7 +270,7 @@ def _taken(what: str, source: Source, observed: Observed) -> Array:
     Raises
     ------
     InputError
-        It fails, or returns something else.
+        It fails, or returns something else or NaN.
     """
     assert callable(source)
     try:
@@ -285,6 +285,8 @@ def _taken(what: str, source: Source, observed: Observed) -> Array:
             f"source of {what} must return one number for each environment, shape "
             f"{observed.belief.shape}, got shape {value.shape}: return an array of that shape"
         )
+    if np.isnan(value).any():
+        raise InputError(f"{what.removeprefix('entry ')} must be a number, got nan: correct the source of the entry")
     return value
 
 

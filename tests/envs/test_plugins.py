@@ -90,6 +90,13 @@ def test_an_entry_must_give_a_number_for_each_environment() -> None:
         withdraw_entry("ego.constant")
 
 
+def test_an_entry_without_a_number_is_named_alone_and_in_the_engine() -> None:
+    register_entry(Entry("mine", "ego", "", 1.0, 0.0, 1.0, "nothing", source=lambda o: o.belief["speed_mps"] * np.nan))
+    for made in (gymnasium.make(KEEPING, config=OPEN), gymnasium.make_vec(KEEPING, 2, config=OPEN, **ENGINE)):
+        with pytest.raises(InputError, match=r"ego\.mine must be a number, got nan"):
+            made.reset(seed=1)
+
+
 def test_an_entry_whose_function_fails_is_named() -> None:
     register_entry(Entry("mine", "ego", "", 1.0, 0.0, 1.0, "misspelt", source=lambda o: o.belief["sped_mps"]))
     with pytest.raises(InputError, match=r"source of entry ego.mine must return .*no field of name sped_mps"):
