@@ -50,6 +50,8 @@ EXAMPLES = """
 
   lanebound train lane_keeping_ppo --out out   train a policy
 
+  lanebound curves --out out/curves            draw learning curves of each id
+
   lanebound reproduce urban-drive --out out    reproduce the tables of S1
 
   lanebound assess bounding --out out/bounds   count errors above their levels

@@ -275,6 +275,7 @@ def curves_figure(found: Mapping[str, Any]) -> Figure:
             if key == "cost":
                 axis.axhline(part["limit"], color=INK, linewidth=1.0, linestyle=":", label="limit")
                 axis.set_yscale("symlog", linthresh=max(part["limit"], 1.0))
+                axis.set_ylim(bottom=0.0)
             tidy(axis, title=title if part is parts[0] else "", ylabel=part["env"] if key == "return" else "",
                  xlabel="thousand decisions" if part is parts[-1] else "")  # fmt: skip
             if key in ("over_cost_limit", "success"):
