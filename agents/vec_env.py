@@ -106,14 +106,42 @@ class EngineVecEnv(VecEnv):
         InputError
             Options that a single environment refuses.
         """
-        everyone = np.ones(self.num_envs, dtype=np.bool_)
-        observations, infos = self.envs.begin(self._seeds, everyone, [faults_in(own) for own in self._options])
+        everyone, given = np.ones(self.num_envs, dtype=np.bool_), self._options
+        self._reset_options()  # those that are refused are not tried again
+        observations, infos = self.envs.begin(self._seeds, everyone, [faults_in(own) for own in given])
         self.arrays = infos
         self._clear(slice(None))
         self.reset_infos = [single_info(infos, row) for row in range(self.num_envs)]
         self._reset_seeds()
-        self._reset_options()
         return observations
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Options of the next reset alone: of all environments, or a list with those of each.
+
+        Raises
+        ------
+        InputError
+            A list of another length, or options that no environment takes.
+        """
+        if isinstance(options, list | tuple) and len(options) != self.num_envs:
+            raise InputError(
+                f"options must be one dict, or one for each of {self.num_envs} environments, got {len(options)} of them"
+            )
+        for own in options if isinstance(options, list | tuple) else [options or {}]:
+            faults_in(own)  # refuses what is misspelt
+        super().set_options(options)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seeds of the next reset: of the first environment, the others have the following ones.
+
+        Raises
+        ------
+        InputError
+            No whole number, or a negative one.
+        """
+        if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0):
+            raise InputError(f"seed must be a whole number of 0 or more, got {seed!r}: pass one for all environments")
+        return super().seed(seed)
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Take commands for the next step."""

@@ -36,7 +36,7 @@ def bench(
     """Measure speed and compare it with the gates. Exit code 1 when a benchmark fails to run.
 
     The benchmark ``cold`` (a start of the vector engine with an empty cache of kernels) takes minutes and runs only
-    with --only cold. --scale is a measurement of its own, half an hour of one core.
+    with --only cold. --scale is a measurement of its own, ten to thirty minutes of one core.
 
     Example: lanebound bench --only ambiguity --rounds 3 --json
     """
@@ -99,5 +99,6 @@ def _scale(out: Path, quick: bool, page: Path | None, only: list[str] | None, as
         print_json(result)
         return
     for title, (heads, rows) in tables(result).items():
-        print_table(title, heads, rows)
+        if rows:  # the few points of --quick make no plan
+            print_table(title, heads, rows)
     typer.echo(f"results.json: {out}")

@@ -37,6 +37,7 @@ SEED = 1
 MOST_S, LEAST = 1.0, 5  # time of steps, and their number at least
 STEPS = 1e9  # of the planned study
 CORES, SIDE_BY_SIDE = 16, 64  # of its machine; environments of each process
+LENGTHS = 20, 80  # decisions of an episode: of a random driver, and of a whole one of Highway
 
 
 class ScalePoint(NamedTuple):
@@ -252,7 +253,7 @@ def plan(result: Mapping[str, Any]) -> Table:
         step, held = (fit(x, [point[key] for point in found]) for key in ("step_s", "held"))
         reset = found[-1]["reset_s"] / found[-1]["envs"]
         a_step = step.each + step.fixed / SIDE_BY_SIDE
-        for length in (20, 100, 1000):
+        for length in LENGTHS:
             seconds = a_step + reset / length
             memory = CORES * (max(held.fixed, 0.0) + SIDE_BY_SIDE * held.each)
             rows.append((

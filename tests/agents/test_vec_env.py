@@ -72,6 +72,23 @@ def test_it_does_what_a_dummy_of_single_environments_does() -> None:
         np.testing.assert_array_equal(masks, env.unwrapped.action_masks())
 
 
+def test_options_and_seeds_are_checked_and_options_hold_for_one_reset() -> None:
+    engine = EngineVecEnv("lanebound/LaneKeeping-v0", 2, {"sky": "open", "layouts": 1})
+    for options in ([{}], [{}] * 3):
+        with pytest.raises(InputError, match=f"one for each of 2 environments, got {len(options)} of them"):
+            engine.set_options(options)
+    with pytest.raises(InputError, match="options"):
+        engine.set_options({"fault": []})
+    wrong: tuple[Any, ...] = (-1, [1, 2], True)
+    for seed in wrong:
+        with pytest.raises(InputError, match="seed must be a whole number"):
+            engine.seed(seed)
+    engine.set_options({"faults": [{"kind": "jamming", "magnitude_db": 20.0, "start_s": 1e6}]})
+    with pytest.raises(InputError, match="start_s must be before the end"):
+        engine.reset()
+    engine.reset()
+
+
 def test_one_layout_of_observations_serves_several_services() -> None:
     spaces = []
     for service in ("spp", "dgps"):
@@ -200,9 +217,8 @@ def test_what_it_cannot_do_is_refused() -> None:
         env.set_attr("config", None)
     with pytest.raises(InputError, match="action_masks"):
         env.env_method("render")
-    env.set_options({"fault": []})
     with pytest.raises(InputError, match=r"options must be among faults, got 'fault': correct the name"):
-        env.reset()
+        env.set_options({"fault": []})
 
 
 def test_more_threads_of_torch_than_one_are_advised_against_once(

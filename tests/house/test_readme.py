@@ -68,6 +68,13 @@ def test_no_figure_is_left_to_be_filled_in(page: Path) -> None:
 # Links and form
 
 
+@every_page
+def test_tables_have_heads(page: Path) -> None:
+    lines = page.read_text(encoding="utf-8").splitlines()
+    rules = [n for n, line in enumerate(lines) if re.match(r"\|\s*:?-{3}", line)]
+    assert [n + 1 for n in rules if not lines[n - 1].startswith("|")] == []
+
+
 def anchors(page: Path) -> set[str]:
     """Anchors of a page's headings, as GitHub and MkDocs make them."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
