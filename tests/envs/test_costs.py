@@ -176,7 +176,7 @@ def test_a_lie_moves_the_vehicle_that_is_perceived() -> None:
     ("config", "message"),
     [
         ({"action_options": {"target_speed": [0, 5]}}, "did you mean 'target_speeds'"),
-        ({"action_options": {"target_speeds": []}}, "two or more speeds"),
+        ({"action_options": {"target_speeds": []}}, "two or more rising speeds"),
         ({"world": {"duration": "x"}}, "world.duration must be a number"),
         ({"world": {"vehicles_count": -1}}, "vehicles_count must be >= 0"),
         ({"policy_hz": 20}, "policy_hz must divide navigation.rate_hz"),
