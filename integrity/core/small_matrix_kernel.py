@@ -66,7 +66,7 @@ def hdop_of(rows: Records) -> float:
 
     rows (S,) of :data:`~lanebound.integrity.positioning.rows_kernel.ROW`, groups below MAX_GROUPS.
     """
-    return _hdop(rows, np.zeros((MAX_GROUPS, 4)))
+    return float(_hdop(rows, np.zeros((MAX_GROUPS, 4))))
 
 
 @jit(borrows=True)

@@ -65,7 +65,8 @@ def find_sets(odds: Array, n: int, rules: Any, sets: Ints) -> tuple[int, float]:
     odds (>= n,) [-]; sets (>= rules.sets, LARGEST_SET) receives indices, -1 for none. The number is -1 when more than
     ``rules.sets`` would be needed.
     """
-    return find_sets_of(odds, n, rules, np.empty(n, dtype=np.int64), sets)
+    found, left = find_sets_of(odds, n, rules, np.empty(n, dtype=np.int64), sets)
+    return int(found), float(left)
 
 
 @jit(borrows=True)
