@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.presets import require_new, require_registered
+from lanebound.integrity.core.presets import remove_registered, require_new
 
 if TYPE_CHECKING:
     from lanebound.envs.observation import Observed
@@ -104,5 +104,4 @@ def withdraw_info(name: str) -> None:
     InputError
         There is none of this name.
     """
-    require_registered("entry of info", name, [entry.name for entry in _registered])
-    _registered[:] = [entry for entry in _registered if entry.name != name]
+    remove_registered("entry of info", name, _registered, lambda entry: entry.name)

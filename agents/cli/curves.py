@@ -43,7 +43,7 @@ def curves(
         found = with_bar("ids", lambda on_progress: run_curves(config, out, on_progress))
         figure = save_curves(found, out if page is None else page.parent)
     if page is not None:
-        fill(page, {name: (heads, rows) for name, (heads, rows) in tables(found).items()})
+        fill(page, tables(found))
     if as_json:
         print_json(found)
         return

@@ -19,7 +19,7 @@ from lanebound.envs.records import EgoBelief
 from lanebound.envs.rewards import TERMS
 from lanebound.envs.truth import true_lead
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.presets import nearest, require_new, require_registered
+from lanebound.integrity.core.presets import nearest, remove_registered, require_new
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode, RtkStatus
 
@@ -213,8 +213,7 @@ def withdraw_column(name: str) -> None:
     InputError
         There is none of this name.
     """
-    require_registered("column", name, [column.name for column in _registered])
-    _registered[:] = [column for column in _registered if column.name != name]
+    remove_registered("column", name, _registered, lambda column: column.name)
 
 
 def row_of(moment: Moment) -> dict[str, Any]:

@@ -44,13 +44,12 @@ def fill(path: Path, tables: Mapping[str, Table]) -> None:
     for name, table in tables.items():
         begin, end = _marks(name)
         head, _, rest = text.partition(begin)
-        text = f"{head}{begin}\n\n{text_of(table)}\n\n{end}{rest.partition(end)[2]}"
+        text = f"{head}{begin}\n\n{text_of(*table)}\n\n{end}{rest.partition(end)[2]}"
     path.write_text(text, encoding="utf-8")
 
 
-def text_of(table: Table) -> str:
+def text_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table in Markdown."""
-    heads, rows = table
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, ["---"] * len(heads), *rows))
 
 

@@ -202,7 +202,7 @@ def _estimate(episodes: Sequence[Mapping[str, float]], key: str) -> Estimate:
 
 
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:
-    """Tables of the results: final values of each driver, the first and the last checkpoint, and the budget."""
+    """Tables of the results: final values of each driver, return and cost at each checkpoint, and the budget."""
     return dict(zip(SECTIONS, (_final(found), _course(found), _budget(found)), strict=True))
 
 

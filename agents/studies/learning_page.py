@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from lanebound.agents.report.pages import text_of
 from lanebound.agents.studies.learning import (
     PRIMARY,
     LearningStudyConfig,
@@ -199,7 +200,7 @@ def _arms(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]) ->
 
 def _kept(rows: Sequence[Mapping[str, Any]]) -> str:
     head = ("first", "second", "pairs", "first keeps", "second keeps", "only first", "only second", "p", "after Holm")
-    return _table(head, [
+    return text_of(head, [
         (f"`{row['arm']}`", f"`{row['other']}`",
          *(str(row[key]) for key in ("n", "first", "second", "first_alone", "second_alone")),
          f"{row['p']:.2g}", f"{row['p_holm']:.2g}")
@@ -214,7 +215,7 @@ def _higher(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]) 
         above, pairs, places, of = higher(trainings, arm, other)
         return f"{above}/{pairs} ({places}/{of})" if pairs and arm != other else ""
 
-    return _table(("", *(f"`{arm}`" for arm in arms)), [(f"`{a}`", *(cell(a, b) for b in arms)) for a in arms])
+    return text_of(("", *(f"`{arm}`" for arm in arms)), [(f"`{a}`", *(cell(a, b) for b in arms)) for a in arms])
 
 
 def _harm(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) -> str:
@@ -234,7 +235,7 @@ def _by_arm(
         (_place(place), *(cell(arm, place["arms"][arm]) if arm in place["arms"] else "" for arm in arms))
         for place in places
     ]
-    return _table(("", *(f"`{arm}`" for arm in arms)), rows)
+    return text_of(("", *(f"`{arm}`" for arm in arms)), rows)
 
 
 def _differences(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) -> str:
@@ -248,11 +249,7 @@ def _differences(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]
                 if less and less["cost"]["n"]:
                     rows.append((name, _place(place), *(tested(less[key]) for key in PRIMARY)))
                     name = ""
-    return _table(("", "", *PRIMARY), rows)
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ("---",) * len(head), *rows))
+    return text_of(("", "", *PRIMARY), rows)
 
 
 def _place(place: Mapping[str, Any]) -> str:

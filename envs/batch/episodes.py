@@ -101,8 +101,8 @@ class Episodes:
         self.index = entries(o)
         self._sources = sources_of(self.index)
         self._extra = [(place, entry) for place, entry in enumerate(self.index) if callable(entry.source)]
-        self._informs = info_entries()
-        self.own_info: dict[str, Array] = {entry.name: np.zeros(n) for entry in self._informs}
+        self._info_entries = info_entries()
+        self.own_info: dict[str, Array] = {entry.name: np.zeros(n) for entry in self._info_entries}
         self.ego: Records = np.zeros(n, EGO)
         self.motions: Records = np.zeros((n, 0), MOTION) if navigation is None else navigation.motions
         self._sensed = config.navigation.source.uses_sensors
@@ -242,7 +242,7 @@ class Episodes:
             self.table.lanes, self.routes.map, self.rules, self.views, ahead, self._sources, self.frame, start,
             row_us=CONCLUDE_US,
         )  # fmt: skip
-        if self._extra or self._informs:
+        if self._extra or self._info_entries:
             self._fill_extra(rows)
 
     def _fill_extra(self, rows: Rows) -> None:
@@ -252,8 +252,8 @@ class Episodes:
         for place, entry in self._extra:
             value = _taken(f"entry {entry.column}", entry.source, observed)
             self.frame[rows, place] = np.clip(value / entry.scale, entry.low, entry.high)
-        for told in self._informs:
-            self.own_info[told.name][rows] = _taken(f"info.{told.name}", told.source, observed)
+        for extra in self._info_entries:
+            self.own_info[extra.name][rows] = _taken(f"info.{extra.name}", extra.source, observed)
 
     def _states(self, rows: Rows) -> dict[str, NDArray[Any]]:
         """The states (n,) of plug-in stages and modes of the egos."""
@@ -286,7 +286,7 @@ def _taken(what: str, source: Source, observed: Observed) -> Array:
             f"{observed.belief.shape}, got shape {value.shape}: return an array of that shape"
         )
     if np.isnan(value).any():
-        raise InputError(f"{what.removeprefix('entry ')} must be a number, got nan: correct the source of the entry")
+        raise InputError(f"source of {what} must return numbers, got nan: correct the function")
     return value
 
 

@@ -253,7 +253,7 @@ class NavigationBatch:
     ) -> Approach:  # fmt: skip
         """Drive all vehicles straight up to their starts, an epoch after another."""
         every, steps = np.arange(rows.size), self.epochs_before * self.steps
-        truth, heard = self._nowhere(rows), list[tuple[float, Solution]]()
+        truth, heard = self._at_rest(rows), list[tuple[float, Solution]]()
         end, ahead = np.zeros((2, *motions.shape, 2))
         before_s = self.epochs_before * self.epoch_s
         begin_motion(rows, cars, self.lanes, self.where, self.step_s, before_s, motions, end, ahead, truth)
@@ -303,7 +303,7 @@ class NavigationBatch:
     def sense(self, rows: Rows, cars: Records, egos: Records) -> None:
         """Measure the epoch that ends now: the motion of all vehicles since the last one, under the skies of now."""
         self._age += 1
-        truth, clock_s = self._nowhere(slice(None)), self.clock_s
+        truth, clock_s = self._at_rest(slice(None)), self.clock_s
 
         def work(first: int, last: int) -> None:
             rk.end_epoch(
@@ -316,8 +316,8 @@ class NavigationBatch:
         now_s = self._clock_s(self.navigator.epoch + 1 - self._epochs_at_start)
         self.measurements = self.navigator.measure(Truth.of(now_s, self.epoch_s, truth), self.view(), self.effects)
 
-    def _nowhere(self, rows: Rows | slice) -> Records:
-        """Truth of all places for vehicles of environments: at rest at the beginning of the city of each."""
+    def _at_rest(self, rows: Rows | slice) -> Records:
+        """TRUTH (n M,) of all slots, at rest where the cities begin; slots without a vehicle keep it."""
         truth = np.zeros(self.where.city[rows].size * self.vehicles, TRUTH)
         truth["arc"] = np.repeat(self.where.city[rows], self.vehicles)
         return truth

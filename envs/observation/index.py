@@ -29,7 +29,7 @@ from lanebound.envs.batch.ego_kernel import STEERING_MOST_RAD
 from lanebound.envs.batch.records_kernel import BELIEF, EGO, VIEW
 from lanebound.envs.observation.config import ObservationConfig
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.presets import nearest, require_new, require_registered
+from lanebound.integrity.core.presets import nearest, remove_registered, require_new
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode, RtkStatus
@@ -342,8 +342,7 @@ def withdraw_entry(column: str) -> None:
     InputError
         There is none of this name.
     """
-    require_registered("entry", column, [entry.column for entry in _registered])
-    _registered[:] = [entry for entry in _registered if entry.column != column]
+    remove_registered("entry", column, _registered, lambda entry: entry.column)
 
 
 def entries(config: ObservationConfig) -> tuple[Entry, ...]:

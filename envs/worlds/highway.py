@@ -69,10 +69,10 @@ def only_idm(world: AbstractEnv) -> list[Refusal]:
 
 
 def even_speeds(world: AbstractEnv) -> list[Refusal]:
-    """As :func:`only_idm`, and refuse target speeds whose number in the list, which is rewarded, does not follow from
-    the speed."""
-    inner = world.action_type
-    speeds = np.array(inner.target_speeds if isinstance(inner, DiscreteMetaAction) else [0.0, 1.0], dtype=np.float64)
-    even = np.allclose(speeds, np.linspace(speeds[0], speeds[-1], speeds.size))
-    wrong = [] if even else [("action_options.target_speeds", "evenly spaced", speeds.tolist())]
-    return [*only_idm(world), *wrong]
+    """Refuse what :func:`only_idm` refuses, and uneven target speeds: the reward takes their number from the speed."""
+    found = only_idm(world)
+    if isinstance(world.action_type, DiscreteMetaAction):
+        speeds = np.array(world.action_type.target_speeds, dtype=np.float64)
+        if not np.allclose(speeds, np.linspace(speeds[0], speeds[-1], speeds.size)):
+            found.append(("action_options.target_speeds", "evenly spaced", speeds.tolist()))
+    return found

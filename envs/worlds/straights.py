@@ -71,7 +71,7 @@ def _before_exit(world: AbstractEnv, table: LaneTable) -> Starter:
             lane = network.get_lane((*FIRST, side))
             station = along + spacing * (PLACE_M + lane.speed_limit) * packed * rng.uniform(0.9, 1.1)
             put_on_lane(cars[i], drivers[i], table, lane, station, lane.speed_limit)
-            along = max(along, station)  # limits below -PLACE_M on the right of many lanes place a vehicle further back
+            along = max(along, station)  # highway-env counts from the vehicle ahead of all; a negative limit steps back
             drivers[i]["route"], drivers[i]["timer"] = plans.at(int(cars["lane"][i]), LAST), STAYS
         return 1 + count
 

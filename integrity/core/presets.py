@@ -6,7 +6,7 @@ import difflib
 import itertools
 import os
 import re
-from collections.abc import Collection, Hashable, Iterable, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -17,7 +17,7 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 
 __all__ = [
     "FILES", "about_preset", "deep_merge", "load_file", "load_preset", "mapping_of", "nearest", "parse_assignments",
-    "parse_yaml", "preset_names", "preset_values", "require_new", "require_registered",
+    "parse_yaml", "preset_names", "preset_values", "remove_registered", "require_new", "require_registered",
 ]  # fmt: skip
 
 PRESET_PACKAGE = "lanebound.configs"
@@ -79,6 +79,18 @@ def require_registered(what: str, name: str, registered: Iterable[str]) -> None:
     known = tuple(registered)
     if name not in known:
         raise InputError(f"{what} must be a registered one, got {name!r}: {nearest(name, known)}")
+
+
+def remove_registered(what: str, name: str, registered: list[Any], name_of: Callable[[Any], str]) -> None:
+    """Remove an extension from a list of registered ones.
+
+    Raises
+    ------
+    InputError
+        None has this name.
+    """
+    require_registered(what, name, map(name_of, registered))
+    registered[:] = [one for one in registered if name_of(one) != name]
 
 
 def deep_merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:

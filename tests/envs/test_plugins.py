@@ -93,7 +93,7 @@ def test_an_entry_must_give_a_number_for_each_environment() -> None:
 def test_an_entry_without_a_number_is_named_alone_and_in_the_engine() -> None:
     register_entry(Entry("mine", "ego", "", 1.0, 0.0, 1.0, "nothing", source=lambda o: o.belief["speed_mps"] * np.nan))
     for made in (gymnasium.make(KEEPING, config=OPEN), gymnasium.make_vec(KEEPING, 2, config=OPEN, **ENGINE)):
-        with pytest.raises(InputError, match=r"ego\.mine must be a number, got nan"):
+        with pytest.raises(InputError, match=r"source of entry ego\.mine must return numbers, got nan"):
             made.reset(seed=1)
 
 
