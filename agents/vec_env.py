@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
+from lanebound.agents.plugins import load_plugins, loaded_plugins
 from lanebound.envs import IDS
 from lanebound.envs.batch.infos import NAMES, single_info
 from lanebound.envs.config import EnvConfig
@@ -48,6 +49,8 @@ class EngineVecEnv(VecEnv):
     keys : entries of ``info`` wanted at every step
     statistics : whether the end of an episode also has ``episode_integrity``, as
         :class:`~lanebound.envs.wrappers.EpisodeStatistics` has it for single environments
+    processes : over which the environments are divided, with the same results, in a script below
+        ``if __name__ == "__main__":``; 1: in this one
 
     Raises
     ------
@@ -64,6 +67,7 @@ class EngineVecEnv(VecEnv):
         config: Mapping[str, Any] | None = None,
         keys: Sequence[str] = ("cost",),
         statistics: bool = False,
+        processes: int = 1,
     ) -> None:
         driven = engines()
         wrapped = env_id not in IDS and (kind := world_kind(env_id)) is not None and kind.support is not None
@@ -80,10 +84,14 @@ class EngineVecEnv(VecEnv):
         for key in keys:
             if key not in known:
                 raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, known)}")
-        if wrapped:
-            self.envs: VectorDrivingEnv = WrappedVectorEnv(env_id, num_envs, config, AutoresetMode.SAME_STEP)
-        else:
-            self.envs = driven[env_id](num_envs, config, AutoresetMode.SAME_STEP)
+        make = partial(WrappedVectorEnv, env_id) if wrapped else driven[env_id]
+        self.envs: VectorDrivingEnv = make(
+            num_envs,
+            config,
+            AutoresetMode.SAME_STEP,
+            processes=processes,
+            initialize=partial(load_plugins, tuple(loaded_plugins())),
+        )
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
         if (threads := torch.get_num_threads()) > 1:
             _advise_one_thread(threads)

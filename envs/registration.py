@@ -59,7 +59,11 @@ def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str 
 
 
 def wrap_vec(
-    env_id: str, num_envs: int, config: Mapping[str, Any] | None = None, autoreset_mode: AutoresetMode | str = NEXT_STEP
+    env_id: str,
+    num_envs: int,
+    config: Mapping[str, Any] | None = None,
+    autoreset_mode: AutoresetMode | str = NEXT_STEP,
+    processes: int = 1,
 ) -> VectorEnv[Any, Any, Any]:
     """Make N environments as :func:`wrap` in the vector engine; arguments as for ``gymnasium.make_vec``.
 
@@ -73,7 +77,7 @@ def wrap_vec(
     """
     from lanebound.envs.vector.env import WrappedVectorEnv
 
-    return WrappedVectorEnv(env_id, num_envs, config, autoreset_mode)
+    return WrappedVectorEnv(env_id, num_envs, config, autoreset_mode, processes)
 
 
 def register_all() -> None:

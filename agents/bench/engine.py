@@ -41,10 +41,10 @@ def _bare_side() -> Callable[[], int]:
 
 
 def engine_side(
-    kind: type[Preset], count: int, config: dict[str, Any]
-) -> tuple[Callable[[], int], VectorDrivingEnv]:  # fmt: skip
+    kind: type[Preset], count: int, config: dict[str, Any], processes: int = 1
+) -> tuple[Callable[[], int], VectorDrivingEnv]:
     """A policy step of so many environments of an id under random actions, and these environments."""
-    env = engine_class(kind)(count, config, autoreset_mode="SameStep")
+    env = engine_class(kind)(count, config, autoreset_mode="SameStep", processes=processes)
     env.reset(seed=SEED)
     env.action_space.seed(SEED)
     actions, turn = [env.action_space.sample() for _ in range(TURNS)], iter(range(10**9))

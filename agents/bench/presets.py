@@ -1,13 +1,13 @@
 """Speed of each id as it is shipped: policy steps a second of the vector engine, against single environments.
 
-Resets count on both sides; actions are random.
+Resets count on both sides; actions are random. Two processes drive the environments of the engine, as of SB3.
 """
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from lanebound.envs.ids import Preset, has_engine, presets
 
 __all__ = ["measure"]
 
-COUNT = 64
+COUNT, PROCESSES = 64, 2
 SURROGATE: dict[str, Any] = {"perception": {"others": "surrogate"}}
 
 
@@ -59,11 +59,14 @@ def measure(rounds: int = 5) -> list[Row]:
 
 
 def _of_id(kind: type[Preset], rounds: int) -> list[Row]:
-    step, ours = engine_side(kind, COUNT, {})
-    sides, name = {"engine": step, "single": _single_side(kind)}, kind.__name__
-    if ours.engine.episodes.perception.has_radio:
-        sides["surrogate"] = engine_side(kind, COUNT, SURROGATE)[0]
-    with closing(SubprocVecEnv([kind] * 2, start_method="spawn")) as envs:
+    with ExitStack() as opened:
+        step, ours = engine_side(kind, COUNT, {}, PROCESSES)
+        opened.enter_context(closing(ours))
+        sides, name = {"engine": step, "single": _single_side(kind)}, kind.__name__
+        if ours.config.perception.has_radio:
+            sides["surrogate"], others = engine_side(kind, COUNT, SURROGATE, PROCESSES)
+            opened.enter_context(closing(others))
+        envs = opened.enter_context(closing(SubprocVecEnv([kind] * PROCESSES, start_method="spawn")))
         rates = alternate({**sides, "subproc": _subproc_side(kind, envs)}, rounds, 1.0)
     rows = [
         Row(f"preset_{name}_steps_per_s", statistics.median(rates["engine"]), "1/s", 10_000.0, 20_000.0),

@@ -31,7 +31,12 @@ __all__ = ["evaluate", "export", "train"]
 def train(
     name: Annotated[str, typer.Argument(metavar="EXPERIMENT", help="One of ours, or a YAML file.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the checkpoints; the last one is resumed.")],
-    jobs: Annotated[int, typer.Option(min=1, help="1: environments in this process; more: each in its own.")] = 1,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1, show_default="one for each core and 32 environments", help="Processes that drive the environments."
+        ),
+    ] = None,
     others: Annotated[
         str | None,
         typer.Option(
@@ -78,7 +83,7 @@ def train(
 
 
 def _trained(
-    experiment: ExperimentConfig, out: Path, jobs: int, on_progress: OnProgress
+    experiment: ExperimentConfig, out: Path, jobs: int | None, on_progress: OnProgress
 ) -> tuple[list[dict[str, Any]], bool]:
     """The evaluations of a training, and whether all its decisions had been made before."""
     from lanebound.agents.checkpointing.runner import Counter, RunProgress

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from multiprocessing import current_process
 from typing import Any
 
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from lanebound.agents.benchmark.suite import SPLITS
+from lanebound.agents.checkpointing.runner import available_cores
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.agents.learning.others import choose_others
@@ -22,13 +24,16 @@ from lanebound.integrity.core.streams import named_generator
 
 __all__ = ["episode_seeds", "for_judging", "for_learning"]
 
+LEAST = 32  # environments in a process
 
-def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
+
+def for_learning(experiment: ExperimentConfig, processes: int | None) -> VecEnv:
     """The environments of a training, seeded for its beginning; others broadcast as :func:`.choose_others` decides.
 
     Parameters
     ----------
-    processes : of single environments, spawned; with 1 they run in this one
+    processes : over which the environments of the engine are divided; single ones have one each with more than 1. None:
+        for the engine one for each core, with 32 environments each at least, as fewer are mostly overhead; else 1
 
     Raises
     ------
@@ -36,10 +41,15 @@ def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
         The environment refuses its configuration, or the engine must drive and cannot.
     """
     experiment = choose_others(experiment).experiment.as_learnt()
-    env = _in_engine(experiment, experiment.count)
+    if processes is None:
+        most = 1 if current_process().daemon else available_cores()
+        parts = max(1, min(most, experiment.count // LEAST))
+    else:
+        parts = min(processes, experiment.count)
+    env = _in_engine(experiment, experiment.count, parts)
     if env is None:
         makers: list[Any] = [_Maker(experiment)] * experiment.count
-        env = DummyVecEnv(makers) if processes == 1 else SubprocVecEnv(makers, start_method="spawn")
+        env = DummyVecEnv(makers) if processes in (None, 1) else SubprocVecEnv(makers, start_method="spawn")
     env = _shielded(experiment, env, experiment.shield_penalty)
     env.seed(episode_seeds(experiment, 0))
     return env
@@ -62,12 +72,13 @@ def for_judging(experiment: ExperimentConfig, episodes: int) -> VecEnv:
     return _shielded(experiment, _in_engine(experiment, episodes) or DummyVecEnv([_Maker(experiment)]), 0.0)
 
 
-def _in_engine(experiment: ExperimentConfig, count: int) -> VecEnv | None:
+def _in_engine(experiment: ExperimentConfig, count: int, processes: int = 1) -> VecEnv | None:
     """Environments in the engine; None where it is switched off, or optional and not possible."""
     if experiment.engine is False:
         return None
     try:
-        return EngineVecEnv(full_id(experiment.env), count, experiment.env_overrides, statistics=True)
+        name, config = full_id(experiment.env), experiment.env_overrides
+        return EngineVecEnv(name, count, config, statistics=True, processes=processes)
     except (ConfigError, InputError) as error:
         if experiment.engine:
             if not isinstance(error, ConfigError):  # an id without an engine, not an option that the engine lacks

@@ -121,7 +121,7 @@ class Checkpoint:
 def train(
     experiment: ExperimentConfig,
     out: Path,
-    processes: int = 1,
+    processes: int | None = 1,
     on_checkpoint: Callable[[Checkpoint], None] = lambda checkpoint: None,
     stepped: Callable[[int], None] = lambda steps: None,
     imitated: Callable[[int], None] = lambda decisions: None,
@@ -134,7 +134,7 @@ def train(
 
     Parameters
     ----------
-    processes : of single environments, spawned; with 1, or in the vector engine, they run in this one
+    processes : over which the environments are divided; with 1 they run in this one. None: as :func:`.for_learning`
     on_checkpoint : called after each checkpoint
     stepped, imitated : called with the number of decisions at every step, of learning by reward and of imitation
     judge : evaluates the policy of a checkpoint in place of :func:`.evaluate`; none is chosen as the best then
@@ -176,7 +176,7 @@ def train(
 
 
 def _shown(
-    teacher: Teacher, env: VecEnv, experiment: ExperimentConfig, processes: int
+    teacher: Teacher, env: VecEnv, experiment: ExperimentConfig, processes: int | None
 ) -> AbstractContextManager[VecEnv]:
     """Environments with the observations of the teacher: those of the experiment, or others during imitation."""
     if teacher.experiment == experiment:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,7 @@ from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT
 from lanebound.integrity.sensors.faults import Fault
 
-__all__ = ["Engine"]
+__all__ = ["Engine", "meta_codes"]
 
 Rows = NDArray[np.int64]
 VEHICLE_FRAME_US = 0.06  # of one thread, measured
@@ -123,10 +123,8 @@ class Engine:
         self.single, self.count, self.support = single, count, support_of(single.config)
         config, inner = single.config, single.world.action_type
         self.frames = config.simulation_hz // config.policy_hz
-        meta = isinstance(inner, DiscreteMetaAction)
-        actions = inner.actions if meta else {}
-        self.codes: Rows = np.array([META_CODES[actions[n]] for n in range(len(actions))], dtype=np.int64)
-        self.speeds = np.array(inner.target_speeds if meta else [0.0, 1.0], dtype=np.float64)
+        self.codes = meta_codes(single)
+        self.speeds = np.array(inner.target_speeds if self.codes.size else [0.0, 1.0], dtype=np.float64)
         self._ranges = _direct_ranges(inner)
         self.world = self._world()
         steps = math.ceil(self.duration_s * config.simulation_hz) + 1 + self.frames  # the last decision goes beyond it
@@ -193,6 +191,21 @@ class Engine:
         return self.episodes.ego["outcome"]
 
     @property
+    def frame(self) -> NDArray[np.float32]:
+        """(N, E) newest observations."""
+        return self.episodes.frame
+
+    @property
+    def ready(self) -> NDArray[np.bool_]:
+        """(N,) which environments have a next episode that waits."""
+        return self._waits > 0
+
+    @property
+    def own_info(self) -> Mapping[str, NDArray[np.float64]]:
+        """(N,) each, the newest numbers of ``info`` that plug-ins add, by name."""
+        return self.episodes.own_info
+
+    @property
     def drivers(self) -> Records:
         """(N, V) DRIVER, state of the vehicles beyond their poses."""
         return self._stage.drivers
@@ -234,17 +247,24 @@ class Engine:
 
     def _go_on(self, rows: Rows) -> None:
         """Take the next episodes of environments, which are made ready where there is none."""
-        if self._next is None:
-            self._next = Stage(self, self.episodes.another(self._ahead * self.count))
         if not self._waits[rows].all():
-            lacking = np.flatnonzero(self._begun & (self._waits == 0))
-            places = (self.count * np.arange(self._ahead)[:, None] + lacking).ravel()
-            self._begin(self._next, places, [None] * places.size)
-            self._waits[lacking] = self._ahead
+            self.prepare()
+        assert self._next is not None
         turns = self._ahead - self._waits[rows]
         for k in set(turns.tolist()):
             self._stage.adopt(rows[turns == k], self._next, k)
         self._waits[rows] -= 1
+
+    def prepare(self) -> None:
+        """Make the next episodes of all environments that have begun and have no waiting one; none is changed by it."""
+        lacking = np.flatnonzero(self._begun & (self._waits == 0))
+        if not lacking.size:
+            return
+        if self._next is None:
+            self._next = Stage(self, self.episodes.another(self._ahead * self.count))
+        places = (self.count * np.arange(self._ahead)[:, None] + lacking).ravel()
+        self._begin(self._next, places, [None] * places.size)
+        self._waits[lacking] = self._ahead
 
     def _begin(self, stage: Stage, rows: Rows, seeds: list[int | None]) -> None:
         """Begin episodes on a stage."""
@@ -357,6 +377,13 @@ class Engine:
             world = seed if seed is not None else int(generator.integers(WORLD_SEEDS))
             self._drawn[waits, row] = episode, world
         return self._drawn[waits, row]
+
+
+def meta_codes(single: DrivingEnv) -> Rows:
+    """(A,) code of each meta-action of the action space, none under continuous actions."""
+    inner = single.world.action_type
+    actions = inner.actions if isinstance(inner, DiscreteMetaAction) else {}
+    return np.array([META_CODES[actions[n]] for n in range(len(actions))], dtype=np.int64)
 
 
 def _direct_ranges(inner: Any) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:

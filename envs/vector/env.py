@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from lanebound.envs.core import OPTIONS, DrivingEnv, faults_in
 from lanebound.envs.ids import Preset, has_engine, id_of, presets, refuse_misplaced
 from lanebound.envs.registration import wrap
 from lanebound.envs.vector.engine import Engine
+from lanebound.envs.vector.processes import EngineProcesses, require_processes
 from lanebound.envs.world import within_rounding
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
@@ -49,13 +50,16 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         ``infos["final_info"]`` hold how the episode ended. ``Disabled``: reset it by
         ``reset(options={"reset_mask": mask})``.
     render_mode : None; use a single environment for pictures
+    processes : over which the environments are divided, with the same results; 1: they are in this one, on all its
+        threads. A script that asks for more does so below ``if __name__ == "__main__":``, as worker processes import it
+    initialize : called first in each worker process, such as to import plug-ins
 
     Raises
     ------
     ConfigError
         What the engine does not do; the message names the alternative.
     InputError
-        A number of environments, mode of reset or render mode that does not exist.
+        A number of environments or processes, mode of reset or render mode that does not exist.
     """
 
     KIND: ClassVar[type[Preset]]
@@ -66,18 +70,23 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         config: Mapping[str, Any] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        processes: int = 1,
+        initialize: Callable[[], object] | None = None,
         **misplaced: Any,
     ) -> None:
-        refuse_misplaced(misplaced, "num_envs, config, autoreset_mode and render_mode")
+        refuse_misplaced(misplaced, "num_envs, config, autoreset_mode, render_mode, processes and initialize")
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise InputError(f"num_envs must be a positive int, got {num_envs!r}: give 1 or more")
         if render_mode is not None:
             raise InputError(f"render_mode must be None, got {render_mode!r}: draw pictures of a single environment")
+        workers = require_processes(processes, int(num_envs))
         single = self._single(config)
         self.num_envs, self.config, self.render_mode = int(num_envs), single.config, None
         self.mode = _mode_of(autoreset_mode)
         self.metadata = {"render_modes": [], "render_fps": single.config.policy_hz, "autoreset_mode": self.mode}
-        self.engine = Engine(single, self.num_envs)
+        self.engine: Engine | EngineProcesses = Engine(single, self.num_envs) if workers == 1 else EngineProcesses(
+            single, self.num_envs, workers, initialize
+        )  # fmt: skip
         self.single_action_space, self.single_observation_space = single.action_space, single.observation_space
         self.action_space = batch_space(single.action_space, self.num_envs)
         self.observation_space = batch_space(single.observation_space, self.num_envs)
@@ -178,6 +187,11 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             raise InputError("action_masks needs meta-actions, got continuous ones: there is nothing to mask")
         return self.engine.sensible()[:, self.engine.codes]
 
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the worker processes, if there are any."""
+        if isinstance(self.engine, EngineProcesses):
+            self.engine.close()
+
     # Episodes
 
     def _restart(
@@ -186,18 +200,18 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         if any(faults):  # they may be refused when the episodes have begun
             self._begun[rows] = self._all_begun = False
         self.engine.reset(rows, seeds, faults)
-        self._history[rows] = self.engine.episodes.frame[rows, None]
+        self._history[rows] = self.engine.frame[rows, None]
         self._over[rows], self._begun[rows] = False, True
         self._some_over, self._all_begun = bool(self._over.any()), bool(self._begun.all())
 
     def _remember(self, rows: Rows | None) -> None:
         """Put the newest observations at the end of the stack."""
         if self._history.shape[1] == 1:
-            self._history[:, 0] = self.engine.episodes.frame
+            self._history[:, 0] = self.engine.frame
             return
         where: Any = slice(None) if rows is None else rows
         self._history[where, :-1] = self._history[where, 1:]
-        self._history[where, -1] = self.engine.episodes.frame[where]
+        self._history[where, -1] = self.engine.frame[where]
 
     def _final(self, ended: Rows, mask: Flags) -> dict[str, Any]:
         """How episodes have ended, in Gymnasium's form."""
@@ -211,7 +225,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
     # Forms
 
     def _infos(self, found: StepResult, form: tuple[dict[str, Any], dict[str, Any]]) -> dict[str, Any]:
-        return infos_of(found, form, self.engine.episodes.own_info)
+        return infos_of(found, form, self.engine.own_info)
 
     def _observations(self) -> Observations:
         """Of all environments, a copy."""
@@ -258,9 +272,11 @@ class WrappedVectorEnv(VectorDrivingEnv):
         num_envs: int = 1,
         config: Mapping[str, Any] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        processes: int = 1,
+        initialize: Callable[[], object] | None = None,
     ) -> None:
         self.env_id = env_id
-        super().__init__(num_envs, config, autoreset_mode)
+        super().__init__(num_envs, config, autoreset_mode, None, processes, initialize)
 
     def _single(self, config: Mapping[str, Any] | None) -> DrivingEnv:
         return wrap(self.env_id, config)
