@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from lanebound.agents.bench.engine import SEED, engine_side
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
+from lanebound.agents.learning.others import silence
 from lanebound.envs.ids import Preset, has_engine, presets
 
 __all__ = ["measure"]
@@ -63,7 +64,7 @@ def _of_id(kind: type[Preset], rounds: int) -> list[Row]:
         step, ours = engine_side(kind, COUNT, {}, PROCESSES)
         opened.enter_context(closing(ours))
         sides, name = {"engine": step, "single": _single_side(kind)}, kind.__name__
-        if ours.config.perception.has_radio:
+        if not silence(kind()):
             sides["surrogate"], others = engine_side(kind, COUNT, SURROGATE, PROCESSES)
             opened.enter_context(closing(others))
         envs = opened.enter_context(closing(SubprocVecEnv([kind] * PROCESSES, start_method="spawn")))
