@@ -10,6 +10,7 @@ from typing import Any, Self
 from pydantic import Field, field_validator, model_validator
 
 from lanebound.envs.actuators import ActuatorConfig
+from lanebound.envs.alert_limits import AlertLimit, BudgetConfig
 from lanebound.envs.costs import CostConfig
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.observation import ObservationConfig
@@ -78,6 +79,8 @@ class EnvConfig(Config):
     actuators: ActuatorConfig | None = Field(
         ActuatorConfig(), description="limits of steering; None for highway-env's own"
     )
+    alert_limit: AlertLimit = Field(AlertLimit.FIXED, description="alert limits: fixed, or of a budget at each decision")
+    budget: BudgetConfig = Field(BudgetConfig(), description="figures of alert limits from a budget")
     al_at_m: float = Field(1.5, gt=0, description="along-track alert limit; half of a 3 m lane, S2 5.3")
     al_ct_m: float | None = Field(None, gt=0, description="cross-track alert limit; None: (narrowest lane - car) / 2")
     keep_lane: bool = Field(True, description="costs count beyond the lane; false: beyond the road")
@@ -202,7 +205,12 @@ class EnvConfig(Config):
         return SkyLevel.named(self.sky)
 
     def limits_m(self, lane_width_m: float, car_width_m: float) -> tuple[float, float]:
-        """Alert limits along and across the track, for the narrowest lane: ``AL_CT = (w - W) / 2``."""
+        """Alert limits along and across the track, for the narrowest lane: ``AL_CT = (w - W) / 2``.
+
+        With a budget, what it is at most: the limits of the moment are within.
+        """
+        if self.alert_limit is AlertLimit.BUDGET:
+            return self.budget.most_m, self.budget.most_m
         geometric = max(0.5 * (lane_width_m - car_width_m), 0.05)
         return self.al_at_m, geometric if self.al_ct_m is None else self.al_ct_m
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 
 from lanebound.envs.batch.lanes_kernel import local, nearest, width_at
+from lanebound.envs.batch.records_kernel import SENSED
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import remainder, wrap
 from lanebound.integrity.core.records import record
 
-__all__ = ["FIX", "adopt", "begin", "coast", "locate", "rates", "settle", "take", "take_given"]
+__all__ = ["FIX", "adopt", "begin", "coast", "locate", "rates", "settle", "take", "take_given", "trust_anew"]
 
 ACCELERATION_S = 0.3  # time constant of the acceleration shown: ten odometer pulses at 10 m/s
 STANDSTILL_MPS = 0.05
@@ -132,24 +133,42 @@ def settle(t, b, lanes, passed, rules):  # type: ignore[no-untyped-def]
     s, c = math.sin(t.heading_rad), math.cos(t.heading_rad)
     b.pl_at_m = t.pl_at_m + (abs(c * t.residual_x_m + s * t.residual_y_m) + rules.map_bound_m)
     b.pl_ct_m = t.pl_ct_m + (abs(c * t.residual_y_m - s * t.residual_x_m) + rules.map_bound_m)
-    _trust(b, rules, t.alert != 0, t.available != 0, t.reason, passed)
+    _trust(b, t, rules, t.alert != 0, t.available != 0, t.reason, passed)
 
 
 @jit(borrows=True)
-def _trust(b, rules, alert, available, reason, passed):  # type: ignore[no-untyped-def]
-    """Whether the position is available, and the alert: the solution's own, and that of levels beyond their limits."""
-    along, across = b.pl_at_m > rules.al_at_m, b.pl_ct_m > rules.al_ct_m
-    b.al_at_m, b.al_ct_m, b.reason = rules.al_at_m, rules.al_ct_m, reason
+def _trust(b, t, rules, alert, available, reason, passed):  # type: ignore[no-untyped-def]
+    """Whether the position is available, and the alert: the solution's own, and that of levels beyond their limits.
+
+    Limits from a budget change with every decision, so an alert of theirs is held for a while.
+    """
+    if rules.budgets == 0 or b.al_ct_m == 0.0:  # fixed, or before the first decision
+        b.al_at_m, b.al_ct_m = rules.al_at_m, rules.al_ct_m
+    along, across = b.pl_at_m > b.al_at_m, b.pl_ct_m > b.al_ct_m
+    b.reason = reason
     if (along or across) and not alert:
         b.reason = rules.reason_both if along and across else rules.reason_at if along else rules.reason_ct
-    b.available = 1 if available and not (along or across) else 0
-    b.alert = 1 if alert or along or across else 0
+    over = along or across
+    t.hold_s = rules.budget.hold_s if over and rules.budgets != 0 else max(t.hold_s - passed, 0.0)
+    held = t.hold_s > 0.0
+    if held and not (over or alert):
+        b.reason = rules.reason_holding
+    b.available = 1 if available and not over else 0
+    b.alert = 1 if alert or over or held else 0
     b.alert_age_s = b.alert_age_s + passed if b.alert != 0 else 0.0
     b.time_s += passed
 
 
 @jit(borrows=True)
-def take_given(b, car, lanes, passed, rules):  # type: ignore[no-untyped-def]
+def trust_anew(b, t, rules):  # type: ignore[no-untyped-def]
+    """Bring alert and availability up to date after the limits have changed; no time passes."""
+    sensed = rules.source == SENSED
+    alert, available = sensed and t.alert != 0, not sensed or t.available != 0
+    _trust(b, t, rules, alert, available, t.reason if sensed else rules.reason_none, 0.0)
+
+
+@jit(borrows=True)
+def take_given(b, t, car, lanes, passed, rules):  # type: ignore[no-untyped-def]
     """A position that is given: the true pose, displaced by the constant offset, whose size is the level.
 
     Without an offset the believed pose and lane are the true ones, bit for bit. At a start ``passed`` is 0.
@@ -166,7 +185,7 @@ def take_given(b, car, lanes, passed, rules):  # type: ignore[no-untyped-def]
         b.y_m += at * sine + ct * cosine
         b.lane = nearest(lanes, b.x_m, b.y_m, b.heading_rad)
     b.pl_at_m, b.pl_ct_m, b.mode, b.rtk = abs(at), abs(ct), rules.mode_given, rules.rtk_given
-    _trust(b, rules, False, True, rules.reason_none, passed)
+    _trust(b, t, rules, False, True, rules.reason_none, passed)
 
 
 @jit(borrows=True)

@@ -32,7 +32,8 @@ from lanebound.envs.batch.conflict_kernel import second_arrival_s
 from lanebound.envs.batch.lanes_kernel import NONE, STRAIGHT, local, of_side, straight, width_at
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["CHANGE_S", "EXCESS_MOST_M", "UNKNOWN_GAP_M", "begin_corridor", "follow_corridor", "lead_of",
+__all__ = ["CHANGE_S", "EXCESS_MOST_M", "UNKNOWN_GAP_M", "begin_corridor", "doubt_m",
+           "follow_corridor", "lead_of",
            "overhang_m", "price", "rss_distance_m", "shortfall"]  # fmt: skip
 
 CHANGE_S = 8.0  # two lane changes in a row; one takes 3 to 5 s in traffic, about 3 s by highway-env's control
@@ -127,16 +128,18 @@ def overhang_m(car, sc, lanes, keep):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _doubt_m(b, sc, car, lanes):  # type: ignore[no-untyped-def]
-    """How far beyond the corridor the estimate and its level allow the car to be, negative inside."""
-    half = 0.5 * car.width
-    if sc.leaving_side < 0:
-        return abs(b.lateral_m) + b.pl_ct_m + half - 0.5 * b.lane_width_m
-    low, high = _span(lanes, sc, lanes.table[b.lane].road, False)
+def doubt_m(b, sc, level, half, lanes, whole):  # type: ignore[no-untyped-def]
+    """How far beyond the corridor a car of ``half`` width may be by its estimate and a level, negative inside.
+
+    ``whole``: the corridor is the whole road.
+    """
+    if sc.leaving_side < 0 and not whole:
+        return abs(b.lateral_m) + level + half - 0.5 * b.lane_width_m
+    low, high = _span(lanes, sc, lanes.table[b.lane].road, whole)
     s, left, _ = local(lanes, low, b.x_m, b.y_m)
-    beyond = -left + b.pl_ct_m + half - 0.5 * width_at(lanes, low, s)
+    beyond = -left + level + half - 0.5 * width_at(lanes, low, s)
     s, right, _ = local(lanes, high, b.x_m, b.y_m)
-    return max(beyond, right + b.pl_ct_m + half - 0.5 * width_at(lanes, high, s))
+    return max(beyond, right + level + half - 0.5 * width_at(lanes, high, s))
 
 
 @jit(borrows=True)
@@ -220,7 +223,9 @@ def price(b, sc, cars, seen, count, lanes, rules, dt, out):  # type: ignore[no-u
     """Fill the costs of a step by cause, and their weighted sum; ``out`` holds the verdict already."""
     keep, speed, c = rules.keep_lane != 0, abs(cars[0].speed), rules.costs
     beyond = min(max(overhang_m(cars[0], sc, lanes, keep), 0.0), EXCESS_MOST_M)
-    doubt = min(max(_doubt_m(b, sc, cars[0], lanes), 0.0), EXCESS_MOST_M) if keep else 0.0
+    doubt = 0.0
+    if keep:
+        doubt = min(max(doubt_m(b, sc, b.pl_ct_m, 0.5 * cars[0].width, lanes, False), 0.0), EXCESS_MOST_M)
     late = b.alert != 0 and b.alert_age_s > c.time_to_alert_s
     limit = lanes.table[b.lane].speed_limit_mps
     fast = limit > 0.0 and speed > c.alert_speed_share * limit

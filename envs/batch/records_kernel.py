@@ -8,7 +8,7 @@ from __future__ import annotations
 from lanebound.integrity.core.records import record
 
 __all__ = [
-    "BELIEF", "CAR", "CAUSES", "COMMAND", "COST_FIGURES", "EGO", "FACTS", "GIVEN", "OUTCOME", "PERCEIVED",
+    "BELIEF", "BUDGET", "CAR", "CAUSES", "COMMAND", "COST_FIGURES", "EGO", "FACTS", "GIVEN", "OUTCOME", "PERCEIVED",
     "REWARD_WEIGHTS", "RULES", "SCORE", "SENSED", "TERMS", "TRACK", "VIEW",
 ]  # fmt: skip
 
@@ -103,6 +103,7 @@ TRACK = record(
     reason=("i8", "of the newest solution"),
     map_x_m="error of the ego's map",
     map_y_m="error of the ego's map",
+    hold_s="for which an alert of limits from a budget is still held",
 )
 
 COMMAND = record(
@@ -251,6 +252,14 @@ COST_FIGURES = record(
     alert_speed_share="share of the speed limit permitted during an alert",
     time_to_alert_s="allowed for a reaction to an alert",
 )
+BUDGET = record(
+    tracking_m="how far the car's own control may leave the middle of the lane",
+    bend_share="of the room across that an error along may take in bends",
+    crossing_m="limit along where courses cross",
+    least_m="lower bound of both limits",
+    most_m="upper bound of both limits",
+    hold_s="an alert clears after levels have kept the limits so long",
+)
 RULES = record(
     step_s="simulation step",
     epoch_s="navigation epoch",
@@ -262,8 +271,10 @@ RULES = record(
     jump_m="larger corrections are smoothed",
     smoothing_s="time constant of the smoothing, 0 for none",
     map_bound_m="bound of the map's error on each axis",
-    al_at_m="alert limit along the track",
-    al_ct_m="alert limit across the track",
+    al_at_m="alert limit along the track; with a budget before the first decision",
+    al_ct_m="alert limit across the track; with a budget before the first decision",
+    budgets=("i8", "1 where the alert limits are those of the moment"),
+    budget=(BUDGET, "figures of these limits"),
     actuated=("i8", "1 with limits of steering and a brake that holds"),
     pursues=("i8", "1 where meta-actions steer by pure pursuit"),
     lateral_mps2="largest lateral acceleration that steering asks for, negative for none",
@@ -279,6 +290,7 @@ RULES = record(
     reason_at=("i8", "code of AlertReason.PL_AT"),
     reason_ct=("i8", "code of AlertReason.PL_CT"),
     reason_both=("i8", "code of AlertReason.BOTH"),
+    reason_holding=("i8", "code of AlertReason.HOLDING"),
     mode_given=("i8", "code of Mode for a position that is given"),
     rtk_given=("i8", "code of RtkStatus for a position that is given"),
     pl_most_m="protection levels are shown up to here",

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lanebound.envs.batch.belief_kernel import begin, coast, locate, settle, take, take_given
+from lanebound.envs.batch.belief_kernel import begin, coast, locate, settle, take, take_given, trust_anew
+from lanebound.envs.batch.budget_kernel import budget_limits
+from lanebound.envs.batch.costs_kernel import begin_corridor, follow_corridor
 from lanebound.envs.batch.motion_kernel import advance, fill_motion, fill_whereabouts, follow_motion
 from lanebound.envs.batch.perception_kernel import claim, hear, look, see_truth, sum_up
 from lanebound.envs.batch.records_kernel import GIVEN
@@ -31,7 +33,7 @@ def carry_on(ego, cars, motions, lanes, rules, ends_epoch):  # type: ignore[no-u
     cars (v,) and motions (M,): of its environment.
     """
     if rules.source == GIVEN:
-        take_given(ego.belief, cars[0], lanes, rules.step_s, rules)
+        take_given(ego.belief, ego.track, cars[0], lanes, rules.step_s, rules)
     elif not ends_epoch:
         coast(ego.track, rules.step_s)
         settle(ego.track, ego.belief, lanes, rules.step_s, rules)
@@ -74,7 +76,7 @@ def sky_rows(first, last, rows, hours, hour, clock, sky):  # type: ignore[no-unt
 def give_rows(first, last, rows, cars, egos, lanes, rules):  # type: ignore[no-untyped-def]
     """Start egos whose positions are given."""
     for e in rows[first:last]:
-        take_given(egos[e].belief, cars[e, 0], lanes, 0.0, rules[0])
+        take_given(egos[e].belief, egos[e].track, cars[e, 0], lanes, 0.0, rules[0])
 
 
 @jit(borrows=True)
@@ -167,7 +169,7 @@ def conclude_rows(  # type: ignore[no-untyped-def]
     words = words_of(egos, views)
     for e in rows[first:last]:
         ego, here, seen = egos[e], cars[e, : egos[e].vehicles], perceived[e]
-        _score(ego, here, picture[e], seen, path_of[ego.route], lanes, rules[0], start)
+        _score(ego, here, picture[e], seen, path_of[ego.route], lanes, routes, rules[0], start)
         if ahead is not None:
             predict(ego.shown, lanes, routes, ahead, e, cells, views.sky[e])
         count = picture[e].seen
@@ -181,12 +183,19 @@ def conclude_rows(  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _score(ego, cars, picture, seen, path_of, lanes, rules, start):  # type: ignore[no-untyped-def]
-    """Place the belief on the ego's own map, score the step, or a start, and find what is shown of the ego."""
+def _score(ego, cars, picture, seen, path_of, lanes, routes, rules, start):  # type: ignore[no-untyped-def]
+    """Place the belief on the ego's own map, set its limits, score the step, or a start, and find what is shown."""
     b = ego.belief
     locate(b, lanes, path_of, rules)
+    if start:
+        begin_corridor(ego.score, b, lanes)
+    else:
+        follow_corridor(ego.score, b, cars[0], lanes, rules, rules.policy_s)
     if rules.sees_truth != 0:
         picture.seen = see_truth(cars, b.x_m, b.y_m, False, seen)
+    if rules.budgets != 0:
+        b.al_at_m, b.al_ct_m = budget_limits(b, ego.score, cars[0], seen, picture.seen, lanes, routes, rules)
+        trust_anew(b, ego.track, rules)
     score(b, ego.score, cars, seen, picture.seen, lanes, ego.facts, rules, start, ego.outcome)
     ego.shown = b
     if rules.shown == ORACLE:

@@ -6,7 +6,8 @@ from typing import Any
 
 from highway_env.vehicle.kinematics import Vehicle
 
-from lanebound.envs.batch.records_kernel import COST_FIGURES, GIVEN, REWARD_WEIGHTS, RULES, SENSED, TERMS
+from lanebound.envs.alert_limits import AlertLimit
+from lanebound.envs.batch.records_kernel import BUDGET, COST_FIGURES, GIVEN, REWARD_WEIGHTS, RULES, SENSED, TERMS
 from lanebound.envs.batch.view_kernel import BLIND, FULL, ORACLE
 from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.navigation import Source
@@ -38,6 +39,8 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
         map_bound_m=map_bound_m,
         al_at_m=limits_m[0],
         al_ct_m=limits_m[1],
+        budgets=config.alert_limit is AlertLimit.BUDGET,
+        budget=one_record(BUDGET, **{name: getattr(config.budget, name) for name in BUDGET.names or ()}),
         actuated=a is not None,
         pursues=a is not None and a.steering_rate_radps is not None,
         lateral_mps2=_or_none(a.lateral_acceleration_mps2 if a else None),
@@ -53,6 +56,7 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
         reason_at=AlertReason.PL_AT.code,
         reason_ct=AlertReason.PL_CT.code,
         reason_both=AlertReason.BOTH.code,
+        reason_holding=AlertReason.HOLDING.code,
         mode_given=int(Mode.RTK),
         rtk_given=RtkStatus.FIXED.code,
         pl_most_m=config.observation.pl_max_m,

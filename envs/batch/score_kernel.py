@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 
-from lanebound.envs.batch.costs_kernel import begin_corridor, follow_corridor, price
+from lanebound.envs.batch.costs_kernel import price
 from lanebound.envs.batch.lanes_kernel import CIRCLE, STRAIGHT, advised, local, straight, width_at
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import ROUNDING_M, remainder, wrap
@@ -93,7 +93,8 @@ def _allowed_mps(cars, lanes, limit):  # type: ignore[no-untyped-def]
 def score(b, sc, cars, seen, count, lanes, facts, rules, start, out):  # type: ignore[no-untyped-def]
     """The verdict on a step, or at a start, where no time has passed: fills ``out`` and remembers in ``sc``.
 
-    ``seen``, ``count``: the vehicles that the ego perceives; ``facts``: ends and reward of the wrapped world.
+    ``seen``, ``count``: the vehicles that the ego perceives; ``facts``: ends and reward of the wrapped world. The
+    corridor is up to date.
     """
     policy, speed = rules.policy_s, cars[0].speed
     dt = 0.0 if start else policy
@@ -103,10 +104,8 @@ def score(b, sc, cars, seen, count, lanes, facts, rules, start, out):  # type: i
     angle = wrap(cars[0].heading - direction)
     along, against = speed * math.cos(angle), abs(angle) > 0.5 * math.pi
     if start:
-        begin_corridor(sc, b, lanes)
         sc.heading_rad, sc.speed_mps = cars[0].heading, speed
     else:
-        follow_corridor(sc, b, cars[0], lanes, rules, policy)
         allowed = _allowed_mps(cars, lanes, limit)
         sc.progress_m += along * policy
         sc.allowed_m += allowed * policy

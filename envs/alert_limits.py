@@ -1,0 +1,36 @@
+"""Alert limits of an environment: fixed ones, or what is left of a budget at each decision.
+
+The formulas are in :mod:`lanebound.envs.batch.budget_kernel`.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from pydantic import Field
+
+from lanebound.integrity.core.config import Config
+
+__all__ = ["AlertLimit", "BudgetConfig"]
+
+
+class AlertLimit(Enum):
+    """Where alert limits come from."""
+
+    FIXED = "fixed"
+    BUDGET = "budget"
+
+
+class BudgetConfig(Config):
+    """Figures of the budget of alert limits."""
+
+    tracking_m: float = Field(
+        0.1, ge=0, description="how far the car's own control may leave the middle of the lane; measured, docs/limits.md"
+    )
+    bend_share: float = Field(
+        0.25, ge=0, lt=1, description="share of the room across that an error along may take in bends [-]; chosen"
+    )
+    crossing_m: float = Field(1.5, gt=0, description="limit along where courses cross: half of a 3 m lane, S2 5.3")
+    least_m: float = Field(0.29, gt=0, description="lower bound of both limits: of cars on local streets, Reid 2019")
+    most_m: float = Field(15.0, gt=0, description="upper bound of both limits: HAL of road navigation, S5")
+    hold_s: float = Field(1.0, ge=0, description="an alert clears after levels have kept the limits so long; chosen")
