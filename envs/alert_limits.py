@@ -6,10 +6,12 @@ The formulas are in :mod:`lanebound.envs.batch.budget_kernel`.
 from __future__ import annotations
 
 from enum import Enum
+from typing import Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["AlertLimit", "BudgetConfig"]
 
@@ -25,7 +27,9 @@ class BudgetConfig(Config):
     """Figures of the budget of alert limits."""
 
     tracking_m: float = Field(
-        0.1, ge=0, description="how far the car's own control may leave the middle of the lane; measured, docs/limits.md"
+        0.1,
+        ge=0,
+        description="how far the car's own control may leave the middle of the lane; measured, docs/limits.md",
     )
     bend_share: float = Field(
         0.25, ge=0, lt=1, description="share of the room across that an error along may take in bends [-]; chosen"
@@ -34,3 +38,9 @@ class BudgetConfig(Config):
     least_m: float = Field(0.29, gt=0, description="lower bound of both limits: of cars on local streets, Reid 2019")
     most_m: float = Field(15.0, gt=0, description="upper bound of both limits: HAL of road navigation, S5")
     hold_s: float = Field(1.0, ge=0, description="an alert clears after levels have kept the limits so long; chosen")
+
+    @model_validator(mode="after")
+    def _bounds_ascend(self) -> Self:
+        if self.least_m > self.most_m:
+            raise ConfigError(f"least_m must be <= most_m = {self.most_m}, got {self.least_m}: lower it")
+        return self

@@ -79,7 +79,9 @@ class EnvConfig(Config):
     actuators: ActuatorConfig | None = Field(
         ActuatorConfig(), description="limits of steering; None for highway-env's own"
     )
-    alert_limit: AlertLimit = Field(AlertLimit.FIXED, description="alert limits: fixed, or of a budget at each decision")
+    alert_limit: AlertLimit = Field(
+        AlertLimit.FIXED, description="alert limits: fixed, or of a budget at each decision"
+    )
     budget: BudgetConfig = Field(BudgetConfig(), description="figures of alert limits from a budget")
     al_at_m: float = Field(1.5, gt=0, description="along-track alert limit; half of a 3 m lane, S2 5.3")
     al_ct_m: float | None = Field(None, gt=0, description="cross-track alert limit; None: (narrowest lane - car) / 2")
@@ -188,6 +190,18 @@ class EnvConfig(Config):
                 f"policy_hz must divide navigation.rate_hz = {self.navigation.rate_hz:g}, got {self.policy_hz}: "
                 "what is observed is of a navigation epoch"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _limits_are_of_one_kind(self) -> Self:
+        # A figure that is not used must not seem to be.
+        unused = ("al_at_m", "al_ct_m") if self.alert_limit is AlertLimit.BUDGET else ("budget",)
+        for name in unused:
+            if name in self.model_fields_set and getattr(self, name) != type(self).model_fields[name].default:
+                raise ConfigError(
+                    f"{name} must be left out with alert_limit {self.alert_limit.value!r}, got {getattr(self, name)}: "
+                    "remove it, or choose the other kind"
+                )
         return self
 
     @model_validator(mode="after")

@@ -232,6 +232,43 @@ def others(
     print_table(f"Others in {env}: medians or shares", heads, difference_rows(result))
 
 
+@app.command("limits")
+def limits(
+    out: Annotated[Path, typer.Option(help="Folder for results.json; a run is resumed there.")],
+    env: Annotated[
+        list[str] | None,
+        typer.Option("--env", metavar="ID", help="This id alone; may be repeated. All eight otherwise."),
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(min=2, help="Episodes under each error; the study has 24.")] = None,
+    page: Annotated[Path | None, typer.Option(metavar="FILE.md", help="Page whose tables are written anew.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Whether alert limits are the largest errors that are safe: a driver that ignores alerts, under constant errors.
+
+    Example: lanebound assess limits --out out/limits --env LaneKeeping --seeds 8
+    """
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.report.pages import fill, require_page
+    from lanebound.agents.studies.alert_limits import SECTIONS, AlertLimitsConfig, assess_alert_limits, tables
+
+    if page is not None:
+        require_page(page, SECTIONS)
+    config = AlertLimitsConfig.load(changes(assignments, envs=env, seeds=seeds))
+    with resumable(lambda: kept_text(out, "parts/*.json", "id")):
+        found = with_bar("ids", lambda on_progress: assess_alert_limits(config, out, jobs, on_progress))
+    if page is not None:
+        fill(page, tables(found))
+    if as_json:
+        print_json(found)
+        return
+    for title, (heads, rows) in tables(found).items():
+        print_table(title, heads, rows)
+    typer.echo(f"results.json: {out}")
+
+
 def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: bool) -> None:
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar

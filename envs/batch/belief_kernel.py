@@ -18,6 +18,7 @@ __all__ = ["FIX", "adopt", "begin", "coast", "locate", "rates", "settle", "take"
 
 ACCELERATION_S = 0.3  # time constant of the acceleration shown: ten odometer pulses at 10 m/s
 STANDSTILL_MPS = 0.05
+EPS_S = 1e-6  # a second of 0.05 s steps is over after twenty, whatever they sum to
 
 
 FIX = record(
@@ -150,7 +151,7 @@ def _trust(b, t, rules, alert, available, reason, passed):  # type: ignore[no-un
         b.reason = rules.reason_both if along and across else rules.reason_at if along else rules.reason_ct
     over = along or across
     t.hold_s = rules.budget.hold_s if over and rules.budgets != 0 else max(t.hold_s - passed, 0.0)
-    held = t.hold_s > 0.0
+    held = t.hold_s > EPS_S
     if held and not (over or alert):
         b.reason = rules.reason_holding
     b.available = 1 if available and not over else 0

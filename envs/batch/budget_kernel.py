@@ -4,19 +4,19 @@ Symbols: w width of the lane, W and L width and length of the car, psi its headi
 the middle of the lane, v its speed, kappa the largest curvature of the route from the car to where it is at the next
 decision, the limit along farther, T time between decisions; d, psi and v are believed.
 
-Across, ``AL_CT = room - kappa AL_AT^2 / 2`` (the room that the error along takes in a bend, below), with
+Across, ``AL_CT = room - kappa (AL_AT + L / 2)^2 / 2`` with
 
-    room = min(w / 2 - |d|, w / 2 - tracking) - half
-    half = (W |cos psi| + L |sin psi|) / 2 + sqrt((1 / kappa + W / 2)^2 + (L / 2)^2) - (1 / kappa + W / 2)
+    room = min(w / 2 - |d|, w / 2 - tracking) - (W |cos psi| + L |sin psi|) / 2
 
-The last term is the body that stands out in a bend (Reid et al. 2019, arXiv 1906.01061, section III). During a commanded
-change the room is that to the edges of both lanes; without a lane to keep, of the road.
+During a commanded change the room is that to the edges of both lanes; without a lane to keep, of the road. The other
+term is how far a corner stands out of a bend when the car is AL_AT ahead of its belief or behind it, on the tangent;
+with AL_AT = 0 it is that of the body alone, as in the box of Reid et al. 2019 (arXiv 1906.01061, section III).
 
 Along, AL_AT is the least of what applies:
 
-``sqrt(2 bend_share room / kappa)``  A car that is e behind its belief, on the tangent, is ``e^2 kappa / 2`` outside of
-the bend.
-``crossing``  where the route crosses lanes of other roads (S2 5.3: 1.5 m, half of a lane of 3 m).
+``sqrt(2 (stand + bend_share (room - stand)) / kappa) - L / 2``  where that term takes what the body alone takes,
+``stand = kappa L^2 / 8``, and a share of the rest.
+``crossing``  where the route crosses lanes of other roads, or its lane ends (S2 5.3: 1.5 m, half of a lane of 3 m).
 ``gap - PL - v (response + T) - max(v^2 - v_lead^2, 0) / (2 b)``  behind a vehicle that is perceived by radio, PL its
 level: what reaction and braking to its speed leave of the gap (S1: positions are to avoid collisions). A sensor measures
 the gap itself; its bounds have no part of the position.
@@ -40,7 +40,7 @@ STRAIGHT_PM = 1e-6
 
 @jit(borrows=True)
 def _ahead(b, lanes, routes, reach):  # type: ignore[no-untyped-def]
-    """Largest curvature [1/m] of the route from half a car behind on, and whether it crosses lanes of other roads."""
+    """Largest curvature [1/m] of the route from half a car behind on; whether it crosses other roads or ends."""
     path, most = routes.paths[b.path], 0.0
     station = b.longitudinal_m - STEP_M
     while station <= b.longitudinal_m + reach:
@@ -52,23 +52,14 @@ def _ahead(b, lanes, routes, reach):  # type: ignore[no-untyped-def]
         if begin <= b.longitudinal_m + reach and piece.end_m >= b.longitudinal_m - STEP_M:
             crossed = crossed or lanes.table[piece.lane].crossed != 0
         begin = piece.end_m
-    return most, crossed
+    return most, crossed or path.lane_end_m - b.longitudinal_m <= reach
 
 
 @jit(borrows=True)
-def _outside_m(curvature, car):  # type: ignore[no-untyped-def]
-    """How much farther out than half its width the corners of a car are that follows a bend with its middle."""
-    if curvature < STRAIGHT_PM:
-        return 0.0
-    side = 1.0 / curvature + 0.5 * car.width
-    return math.hypot(side, 0.5 * car.length) - side
-
-
-@jit(borrows=True)
-def _room_m(b, sc, car, curvature, lanes, rules):  # type: ignore[no-untyped-def]
+def _room_m(b, sc, car, lanes, rules):  # type: ignore[no-untyped-def]
     """Room across, from the body to the edges of what it may drive on."""
-    body = 0.5 * (car.width * abs(math.cos(b.angle_rad)) + car.length * abs(math.sin(b.angle_rad)))
-    half, whole = body + _outside_m(curvature, car), rules.keep_lane == 0
+    half = 0.5 * (car.width * abs(math.cos(b.angle_rad)) + car.length * abs(math.sin(b.angle_rad)))
+    whole = rules.keep_lane == 0
     room = -doubt_m(b, sc, 0.0, half, lanes, whole)
     if sc.leaving_side < 0 and not whole:
         room = min(room, 0.5 * b.lane_width_m - rules.budget.tracking_m - half)
@@ -91,13 +82,16 @@ def budget_limits(b, sc, car, seen, count, lanes, routes, rules):  # type: ignor
     """Alert limits (along, across) [m] of an ego until its next decision; of the true ``car`` only its size is read."""
     f = rules.budget
     reach = max(b.speed_mps, 0.0) * rules.policy_s + f.most_m
-    curvature, crossed = _ahead(b, lanes, routes, reach)
-    room = _room_m(b, sc, car, curvature, lanes, rules)
+    curvature, placed = _ahead(b, lanes, routes, reach)
+    room = _room_m(b, sc, car, lanes, rules)
     along = min(f.most_m, _behind_m(b, seen, count, car.length, lanes, rules))
     if curvature >= STRAIGHT_PM:
-        along = min(along, math.sqrt(2.0 * f.bend_share * room / curvature))
-    if crossed:
+        stand = 0.125 * curvature * car.length**2
+        spent = stand + f.bend_share * max(room - stand, 0.0)
+        along = min(along, math.sqrt(2.0 * spent / curvature) - 0.5 * car.length)
+    if placed:
         along = min(along, f.crossing_m)
     along = max(along, f.least_m)
-    across = min(max(room - 0.5 * curvature * along * along, f.least_m), f.most_m)
+    corner = along + 0.5 * car.length
+    across = min(max(room - 0.5 * curvature * corner * corner, f.least_m), f.most_m)
     return along, across

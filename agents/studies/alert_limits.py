@@ -1,0 +1,197 @@
+"""Whether alert limits are the largest errors that are safe: `nominal`, which ignores alerts, under constant errors.
+
+Positions are given, and displaced by a share of the smallest limit that the driver has without an error (its 1 %
+quantile over decisions), along, across and both. An error below the limit is never alerted, so its cost has to stay
+within the cost limit of the id; one well beyond has to cost more, else the limit alerts for nothing. Other vehicles are
+perceived as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import field_validator
+
+from lanebound.agents.benchmark.suite import SPLITS
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.drivers import make_agent
+from lanebound.agents.episodes.opening import full_id
+from lanebound.agents.report.pages import Table
+from lanebound.envs.alert_limits import AlertLimit
+from lanebound.envs.vector.env import engines
+from lanebound.integrity.core.config import Config, Field, deep_merge
+
+__all__ = ["SECTIONS", "AlertLimitsConfig", "assess_alert_limits", "tables"]
+
+Array = NDArray[np.float64]
+PACKAGES = (
+    "lanebound.integrity",
+    "lanebound.envs",
+    "lanebound.agents.drivers",
+    "lanebound.agents:studies/alert_limits.py",
+)
+SECTIONS = ("costs", "limits")
+ALONE: dict[str, Any] = {"perception": {"source": "truth"}, "faults": "none", "sky": "open"}
+DIRECTIONS = {
+    "ahead": (1, 0),
+    "behind": (-1, 0),
+    "right": (0, 1),
+    "left": (0, -1),
+    "ahead, right": (1, 1),
+    "behind, left": (-1, -1),
+}
+LOWEST = 0.01  # quantile over decisions: a limit dips for moments where lanes meet
+
+
+class AlertLimitsConfig(Config):
+    """All inputs of the study."""
+
+    envs: tuple[str, ...] = Field(
+        tuple(name.removeprefix("lanebound/").removesuffix("-v0") for name in engines()),
+        min_length=1,
+        description="ids, ours without lanebound/",
+    )
+    driver: str = Field("nominal", description="a driver that ignores alerts")
+    shares: tuple[float, ...] = Field((0.95, 1.5), min_length=1, description="errors over the limits [-]")
+    seeds: int = Field(24, ge=2, le=1000, description="episodes under each error, of training seeds")
+
+    @field_validator("envs")
+    @classmethod
+    def _envs_exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(full_id(name).removeprefix("lanebound/").removesuffix("-v0") for name in names)
+
+
+class Drive(NamedTuple):
+    """Episodes under one error.
+
+    costs, crashed (n,) of each episode; along, across, aside (m,) of all decisions: both limits, and offset from the
+    middle of the lane
+    """
+
+    costs: Array
+    crashed: Array
+    along: Array
+    across: Array
+    aside: Array
+
+
+def assess_alert_limits(
+    config: AlertLimitsConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore
+) -> dict[str, Any]:
+    """Drive all errors in the ids that are missing; returns the data of ``results.json``.
+
+    Raises
+    ------
+    InputError
+        ``out`` cannot be claimed, or an id or driver does not exist.
+    """
+    fixed = {**config.to_dict(), "envs": None, "ids": dict.fromkeys(config.envs, True)}
+    source = code_digest(*PACKAGES)
+    ResultFolder(out, "alert limits", config.to_dict(), source, fixed=fixed, growing=("ids",)).claim()
+    found = {
+        "config": config.to_dict(),
+        "ids": run_parts(out, list(config.envs), partial(_of_id, config), jobs, on_progress),
+    }
+    write_json(out / "results.json", found)
+    return found
+
+
+def _of_id(config: AlertLimitsConfig, env: str, advance: Advance) -> dict[str, Any]:
+    """Costs by kind of limit, share and direction, and quantiles of the limits."""
+    found: dict[str, Any] = {}
+    total, done = len(AlertLimit) * (1 + len(config.shares) * len(DIRECTIONS)), 0
+    for kind in AlertLimit:
+        bare = _drive(config, env, {"alert_limit": kind.value, "navigation": {"source": "perfect"}})
+        lowest = [float(np.quantile(limit, LOWEST)) for limit in (bare.along, bare.across)]
+        errors: dict[str, Any] = {}
+        for share in config.shares:
+            for name, (at, ct) in DIRECTIONS.items():
+                offset = {"offset_at_m": share * at * lowest[0], "offset_ct_m": share * ct * lowest[1]}
+                used = {key: value for key, value in offset.items() if value}
+                drive = _drive(config, env, {"alert_limit": kind.value, "navigation": {"source": "offset", **used}})
+                errors.setdefault(f"{share:g}", {})[name] = _costs(drive)
+                done += 1
+                advance(done / total)
+        found[kind.value] = {
+            "lowest_m": lowest,
+            "median_m": [float(np.median(limit)) for limit in (bare.along, bare.across)],
+            "aside_m": [float(q) for q in np.quantile(bare.aside, (0.5, 0.95, 0.99))],
+            "without": _costs(bare),
+            "errors": errors,
+        }
+    with closing(engines()[full_id(env)](1, ALONE)) as envs:
+        return {"env": env, "cost_limit": envs.config.cost_limit, "kinds": found}
+
+
+def _costs(drive: Drive) -> dict[str, float]:
+    return {"cost": float(drive.costs.mean()), "crashed": float(drive.crashed.mean())}
+
+
+def _drive(config: AlertLimitsConfig, env: str, changes: Mapping[str, Any]) -> Drive:
+    """Episodes of the driver, in the engine all at once."""
+    count, given = config.seeds, deep_merge(deep_merge(ALONE, {"observation": {"form": "flat"}}), changes)
+    kind = engines()[full_id(env)]
+    costs, crashed = np.zeros(count), np.zeros(count)
+    rows: list[tuple[Array, Array, Array]] = []
+    with closing(kind(count, given, "SameStep")) as envs, closing(kind.KIND(given)) as single:
+        driver: Any = make_agent(config.driver, single)
+        observations, _ = envs.reset(seed=SPLITS["train"][0])
+        going, state, start = np.ones(count, dtype=np.bool_), None, np.ones(count, dtype=np.bool_)
+        while going.any():
+            actions, state = driver.predict(observations, state=state, episode_start=start, deterministic=True)
+            observations, _, terminated, truncated, infos = envs.step(actions)
+            start = terminated | truncated
+            ended = infos.get("final_info", infos)
+            last = {key: np.where(start, ended[key], infos[key]) for key in ("cost", "crashed", "al_at_m", "al_ct_m")}
+            costs += np.where(going, last["cost"], 0.0)
+            crashed = np.where(going, last["crashed"], crashed)
+            on = going & ~start  # at an end the belief is that of the next episode already
+            rows.append((last["al_at_m"][going], last["al_ct_m"][going], _aside(envs)[on]))
+            going &= ~start
+    return Drive(costs, crashed, *(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+def _aside(envs: Any) -> Array:
+    return np.asarray(np.abs(envs.engine.episodes.ego["belief"]["lateral_m"]))
+
+
+def tables(found: Mapping[str, Any]) -> dict[str, Table]:
+    """Costs under errors of each share, the worst direction of each, and the limits."""
+    return dict(zip(SECTIONS, (_costs_of(found), _limits_of(found)), strict=True))
+
+
+def _costs_of(found: Mapping[str, Any]) -> Table:
+    shares = [f"{share:g}" for share in found["config"]["shares"]]
+    rows: list[Sequence[str]] = []
+    for part in found["ids"].values():
+        for kind, of_kind in part["kinds"].items():
+            cells = [part["env"], kind, f"{part['cost_limit']:g}", f"{of_kind['without']['cost']:.3g}"]
+            for share in shares:
+                name, worst = max(of_kind["errors"][share].items(), key=lambda item: item[1]["cost"])
+                beyond = "**" if (worst["cost"] > part["cost_limit"]) == (float(share) < 1.0) else ""
+                cells.append(f"{beyond}{worst['cost']:.3g}{beyond} ({name})")
+            rows.append(cells)
+    return ("id", "limits", "cost limit", "no error", *(f"{100 * float(s):g} % of the limit" for s in shares)), rows
+
+
+def _limits_of(found: Mapping[str, Any]) -> Table:
+    rows = [
+        (
+            part["env"],
+            kind,
+            *(f"{of_kind['lowest_m'][n]:.2f}, {of_kind['median_m'][n]:.2f}" for n in range(2)),
+            f"{of_kind['aside_m'][0]:.2f}, {of_kind['aside_m'][1]:.2f}, {of_kind['aside_m'][2]:.2f}",
+        )
+        for part in found["ids"].values()
+        for kind, of_kind in part["kinds"].items()
+    ]
+    heads = ("id", "limits", "along [m]: 1 %, median", "across [m]: 1 %, median", "off the middle [m]: 50, 95, 99 %")
+    return heads, rows
