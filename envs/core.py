@@ -127,7 +127,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | key | value |
     |---|---|
     | `pl_at_m`, `pl_ct_m` | protection levels; `inf` when missing |
-    | `al_at_m`, `al_ct_m` | alert limits |
+    | `al_at_m`, `al_ct_m` | [alert limits](#alert-limits) |
     | `margin_at_m`, `margin_ct_m` | AL - PL |
     | `available` | no protection level exceeds its alert limit |
     | `alert`, `tta_s` | an alert is on; time left to react to it: 1 s less its age (not the TTA of S3 II.A) |

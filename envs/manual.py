@@ -130,6 +130,23 @@ them:
 | `integers` | [] | errors of `wrong_fix` by satellite: `[system, prn, cycles of band 1, cycles of band 2]` |
 | `magnitude` | 0 | size of a kind of your own, in the unit of its `Magnitude`, if that names no other field |
 
+## Alert limits
+
+`alert_limit: fixed` (default) has one limit for the whole id: 1.5 m along, half of lane less car across. Body in bends,
+the car's own control and the gap have no part of it, and errors just below it cost too much in six of eight ids
+([alert limits](results/alert-limits.md)). `alert_limit: budget` computes both limits at each decision from what is
+left: across from the lane, the turned body, the believed offset and bends; along from bends, crossings and the gap to a
+leader by radio. Observations (`margin_*`, `ratio_*`, `al_*`) and `info` have them. An alert of theirs is held for 1 s.
+
+```pycon
+>>> env = gymnasium.make("lanebound/LaneKeeping-v0", config={"alert_limit": "budget", "sky": "open"})
+>>> observation, info = env.reset(seed=1)
+>>> bool(0.29 <= info["al_ct_m"] < 0.625)
+True
+>>> env.close()
+
+```
+
 ## Many environments at once
 
 `gymnasium.make_vec(id, num_envs=N, config={...})` steps N environments in compiled code where the table above says so;

@@ -1,9 +1,9 @@
 """Whether alert limits are the largest errors that are safe: `nominal`, which ignores alerts, under constant errors.
 
-Positions are given, and displaced by a share of the smallest limit that the driver has without an error (its 1 %
-quantile over decisions), along, across and both. An error below the limit is never alerted, so its cost has to stay
-within the cost limit of the id; one well beyond has to cost more, else the limit alerts for nothing. Other vehicles are
-perceived as they are.
+Positions are given and displaced, along, across and both. An error of 95 % of the smallest limit that the driver has
+without an error (1 % quantile over decisions) is never alerted, so its cost has to stay within the cost limit of the
+id. One of 150 % of the median limit has to cost more, else the limit alerts for nothing. Other vehicles are perceived
+as they are.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ DIRECTIONS = {
     "ahead, right": (1, 1),
     "behind, left": (-1, -1),
 }
+ERRORS = ("below", "above")
 LOWEST = 0.01  # quantile over decisions: a limit dips for moments where lanes meet
 
 
@@ -60,8 +61,9 @@ class AlertLimitsConfig(Config):
         description="ids, ours without lanebound/",
     )
     driver: str = Field("nominal", description="a driver that ignores alerts")
-    shares: tuple[float, ...] = Field((0.95, 1.5), min_length=1, description="errors over the limits [-]")
-    seeds: int = Field(24, ge=2, le=1000, description="episodes under each error, of training seeds")
+    below: float = Field(0.95, gt=0, description="smaller error over the smallest limit [-]")
+    above: float = Field(1.5, gt=0, description="larger error over the median limit [-]")
+    seeds: int = Field(48, ge=2, le=1000, description="episodes under each error, of training seeds")
 
     @field_validator("envs")
     @classmethod
@@ -107,22 +109,23 @@ def assess_alert_limits(
 def _of_id(config: AlertLimitsConfig, env: str, advance: Advance) -> dict[str, Any]:
     """Costs by kind of limit, share and direction, and quantiles of the limits."""
     found: dict[str, Any] = {}
-    total, done = len(AlertLimit) * (1 + len(config.shares) * len(DIRECTIONS)), 0
+    total, done = len(AlertLimit) * len(ERRORS) * len(DIRECTIONS), 0
     for kind in AlertLimit:
         bare = _drive(config, env, {"alert_limit": kind.value, "navigation": {"source": "perfect"}})
-        lowest = [float(np.quantile(limit, LOWEST)) for limit in (bare.along, bare.across)]
+        lowest, median = ([float(np.quantile(x, q)) for x in (bare.along, bare.across)] for q in (LOWEST, 0.5))
+        sizes = dict(zip(ERRORS, ((config.below, lowest), (config.above, median)), strict=True))
         errors: dict[str, Any] = {}
-        for share in config.shares:
+        for size, (share, limit) in sizes.items():
             for name, (at, ct) in DIRECTIONS.items():
-                offset = {"offset_at_m": share * at * lowest[0], "offset_ct_m": share * ct * lowest[1]}
+                offset = {"offset_at_m": share * at * limit[0], "offset_ct_m": share * ct * limit[1]}
                 used = {key: value for key, value in offset.items() if value}
                 drive = _drive(config, env, {"alert_limit": kind.value, "navigation": {"source": "offset", **used}})
-                errors.setdefault(f"{share:g}", {})[name] = _costs(drive)
+                errors.setdefault(size, {})[name] = _costs(drive)
                 done += 1
                 advance(done / total)
         found[kind.value] = {
             "lowest_m": lowest,
-            "median_m": [float(np.median(limit)) for limit in (bare.along, bare.across)],
+            "median_m": median,
             "aside_m": [float(q) for q in np.quantile(bare.aside, (0.5, 0.95, 0.99))],
             "without": _costs(bare),
             "errors": errors,
@@ -169,17 +172,18 @@ def tables(found: Mapping[str, Any]) -> dict[str, Table]:
 
 
 def _costs_of(found: Mapping[str, Any]) -> Table:
-    shares = [f"{share:g}" for share in found["config"]["shares"]]
+    """A cost on the wrong side of the cost limit is bold."""
     rows: list[Sequence[str]] = []
     for part in found["ids"].values():
         for kind, of_kind in part["kinds"].items():
             cells = [part["env"], kind, f"{part['cost_limit']:g}", f"{of_kind['without']['cost']:.3g}"]
-            for share in shares:
-                name, worst = max(of_kind["errors"][share].items(), key=lambda item: item[1]["cost"])
-                beyond = "**" if (worst["cost"] > part["cost_limit"]) == (float(share) < 1.0) else ""
-                cells.append(f"{beyond}{worst['cost']:.3g}{beyond} ({name})")
+            for size in ERRORS:
+                name, worst = max(of_kind["errors"][size].items(), key=lambda item: item[1]["cost"])
+                wrong = "**" if (worst["cost"] > part["cost_limit"]) == (size == "below") else ""
+                cells.append(f"{wrong}{worst['cost']:.3g}{wrong} ({name})")
             rows.append(cells)
-    return ("id", "limits", "cost limit", "no error", *(f"{100 * float(s):g} % of the limit" for s in shares)), rows
+    below, above = (f"{100 * found['config'][size]:g} % of the" for size in ERRORS)
+    return ("id", "limits", "cost limit", "no error", f"{below} smallest limit", f"{above} median limit"), rows
 
 
 def _limits_of(found: Mapping[str, Any]) -> Table:

@@ -16,11 +16,10 @@ Along, AL_AT is the least of what applies:
 
 ``sqrt(2 (stand + bend_share (room - stand)) / kappa) - L / 2``  where that term takes what the body alone takes,
 ``stand = kappa L^2 / 8``, and a share of the rest.
-``crossing``  where the route crosses lanes of other roads, or its lane ends (S2 5.3: 1.5 m, half of a lane of 3 m).
+``crossing``  where the route crosses other roads, or its lane ends (S2 5.3: 1.5 m, half of a lane of 3 m).
 ``gap - PL - v (response + T) - max(v^2 - v_lead^2, 0) / (2 b)``  behind a vehicle that is perceived by radio, PL its
-level: what reaction and braking to its speed leave of the gap (S1: positions are to avoid collisions). A sensor measures
-the gap itself; its bounds have no part of the position.
-
+level: what reaction and braking to its speed leave of the gap (S1: positions are to avoid collisions). A sensor
+measures the gap itself; its bounds have no part of the position.
 The bound of the map's error is in the levels already. Both limits stay between ``least`` and ``most``.
 """
 

@@ -29,6 +29,7 @@ SURROGATE: dict[str, Any] = {"perception": {"others": "surrogate"}, "duration_s"
 TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
 SEQUENTIAL: dict[str, Any] = {"navigator": {"positioning": {"rtk": {"float_solution": {"kind": "sequential"}}}}}
 NEAR: dict[str, Any] = {"navigator": {"gnss": {"near_objects": {"kind": "vehicle"}}}}
+BUDGET: dict[str, Any] = {"alert_limit": "budget"}
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
 CASES: list[tuple[str, dict[str, Any], int]] = [
     ("LaneKeeping", {"sky": "dense", "layouts": 2}, 25),
@@ -53,6 +54,9 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Intersection", {"sky": "open", "layouts": 1}, 14),
     ("Intersection", {"sky": "open", "layouts": 1, **TRUTH}, 8),
     ("Highway", {**FEW, **SURROGATE}, 10),
+    ("Highway", {**FEW, **BUDGET}, 8),
+    ("CarFollowing", {"sky": "urban", "layouts": 1, **BUDGET}, 15),
+    ("Merge", {"sky": "open", "layouts": 1, **PERFECT, **BUDGET}, 8),
     ("CarFollowing", {"sky": "open", **PERFECT, **SURROGATE}, 10),
     ("UrbanCanyon", {**CITY, **SURROGATE, "perception": {"source": "both", "others": "surrogate"}}, 6),
     ("Intersection", {"sky": "open", "layouts": 1, **SURROGATE}, 8),
