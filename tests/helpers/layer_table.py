@@ -1,14 +1,14 @@
 """Drives with and without the safety layer, for the table of docs/training.md.
 
 ``python tests/helpers/layer_table.py [IDS...] [--seeds 20] [--rules '{"least_share": 0}'] [--config '{...}']`` drives
-the random and the nominal agent on the first training seeds in each id as shipped, and prints a line for each.
+the random and the nominal agent on the first training seeds in each id as shipped, and prints a line for each: without
+the layer → with it. Changed: share of the decisions that a rule changed, and by rule [%].
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -26,7 +26,7 @@ from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs import IDS
 from lanebound.envs.episode_totals import EPISODE_KEY
 
-HEAD = ("id", "agent", "layer", "cost", "crash", "off road", "success", "return", "speed", "changed", "by rule")
+HEAD = ("id", "agent", "cost", "crashes", "off road", "successes", "return", "m/s", "changed")
 
 
 def drive(env_id: str, agent: str, seeds: int, config: Mapping[str, Any], rules: Mapping[str, Any] | None) -> list[Any]:
@@ -46,8 +46,8 @@ def drive(env_id: str, agent: str, seeds: int, config: Mapping[str, Any], rules:
     return list(ends.values())
 
 
-def line(ends: list[Any]) -> list[str]:
-    """Means over episodes; cost with its standard error."""
+def figures(ends: list[Any]) -> list[str]:
+    """Mean cost with its standard error, numbers of episodes, and means."""
 
     def mean(name: str) -> float:
         return float(np.mean([end[EPISODE_KEY][name] for end in ends]))
@@ -56,13 +56,15 @@ def line(ends: list[Any]) -> list[str]:
     crash, off = (sum(end[EPISODE_KEY][f"cost_{name}"] > 0 for end in ends) for name in ("collision", "off_road"))
     error = np.std(costs, ddof=1) / np.sqrt(len(costs))
     row = [f"{np.mean(costs):.1f} ± {error:.1f}", f"{crash}", f"{off}", f"{mean('is_success') * len(ends):.0f}"]
-    row += [f"{mean('return'):.1f}", f"{mean('speed_mean_mps'):.1f}"]
-    if INTERVENTIONS_KEY not in ends[0]:
-        return [*row, "-", "-"]
+    return [*row, f"{mean('return'):.1f}", f"{mean('speed_mean_mps'):.1f}"]
+
+
+def changed(ends: list[Any]) -> str:
+    """Share of the decisions that were changed, and by which rules, largest first."""
     totals = {name: sum(end[INTERVENTIONS_KEY][name] for end in ends) for name in ends[0][INTERVENTIONS_KEY]}
     share = {name: 100.0 * totals[name] / totals["decisions"] for name in ("intervened", *RULES)}
-    by = ", ".join(f"{name} {share[name]:.0f}" for name in RULES if share[name] >= 0.5)
-    return [*row, f"{share['intervened']:.0f} %", by or "-"]
+    by = sorted((name for name in RULES if share[name] >= 0.5), key=lambda name: -share[name])
+    return f"{share['intervened']:.0f}: {', '.join(f'{name} {share[name]:.0f}' for name in by)}"
 
 
 def main() -> None:
@@ -78,12 +80,11 @@ def main() -> None:
     print("| " + " | ".join(HEAD) + " |\n" + "|---" * len(HEAD) + "|")
     for env_id in [full_id(name) for name in given.ids] or list(IDS):
         for agent in given.agents.split(","):
-            for layer, rules in (("no", None), ("yes", given.rules)):
-                begun = time.perf_counter()
-                row = line(drive(env_id, agent, given.seeds, given.config, rules))
-                name = env_id.removeprefix("lanebound/").removesuffix("-v0")
-                print("| " + " | ".join([name, agent, layer, *row]) + " |", flush=True)
-                print(f"{time.perf_counter() - begun:.0f} s", file=__import__("sys").stderr, flush=True)
+            free, bound = (drive(env_id, agent, given.seeds, given.config, rules) for rules in (None, given.rules))
+            pairs = zip(figures(free), figures(bound), strict=True)
+            row = [f"{one} → {two}" if one != two else one for one, two in pairs]
+            name = env_id.removeprefix("lanebound/").removesuffix("-v0")
+            print("| " + " | ".join([name, f"`{agent}`", *row, changed(bound)]) + " |", flush=True)
 
 
 if __name__ == "__main__":
