@@ -14,8 +14,8 @@ observation and for N of them.
 
 ``level``: the share of the limit is inverse to the larger ratio of the two axes, so that ``v PL <= c limit AL``: what a
 level sweeps in a second is at most what it sweeps at the share c of the limit when it is as large as its alert limit.
-The form is chosen; c is the share that ``cost_alert`` permits, so that an alert never costs. The share has a floor,
-because a level that is missing between buildings does not come back for a car that stands there.
+The form is chosen; c is the share that ``cost_alert`` permits. The share has a floor, because a level that is missing
+between buildings does not come back for a car that stands there.
 
 ``gap``, ``rss``: definition 1 of Shalev-Shwartz et al. 2017 with the figures of ``cost_headway``; a response time of at
 least a decision; gaps bumper to bumper less PL_AT of both; lanes widened by PL_CT of both. For ``gap`` the ego must be
