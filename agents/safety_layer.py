@@ -25,6 +25,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 from lanebound.agents.drivers.rules import Projected, RuleBook, SafetyRules
 from lanebound.agents.interventions import Interventions
 from lanebound.envs.core import DrivingEnv
+from lanebound.envs.world import checked_command
 from lanebound.envs.wrappers import FiveTuple, SafetyGymnasium, Started
 from lanebound.integrity.core.errors import InputError
 
@@ -94,9 +95,7 @@ class SafetyLayer(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     def _permitted(self, action: Any) -> Projected:
         if self._seen is None:
             raise InputError("reset must come before step, got no episode: call reset() first")
-        if not self.action_space.contains(np.asarray(action, self.action_space.dtype)):
-            self.env.step(action)  # which refuses it
-        return self.book.project(self._seen, action)
+        return self.book.project(self._seen, checked_command(self.action_space, action))
 
 
 class VecSafetyLayer(VecEnvWrapper):

@@ -123,13 +123,9 @@ class RuleBook:
 
     def __init__(self, env: DrivingEnv, rules: SafetyRules | None = None) -> None:
         self.rules = r = SafetyRules() if rules is None else rules
-        self.reader, self._dt_s, inner, c = (
-            Reader(env.config.observation),
-            env.dt_s,
-            env.world.action_type,
-            env.config.cost,
-        )
-        self._inner, self._meta = inner, not isinstance(env.action_space, spaces.Box)
+        self.reader, self._dt_s, c = Reader(env.config.observation), env.dt_s, env.config.cost
+        self._inner = inner = env.world.action_type
+        self._meta = not isinstance(env.action_space, spaces.Box)
         self._steers = not self._meta and inner.lateral and (r.lane or r.alert or r.gap)
         self._slows = self._meta or inner.longitudinal
         self.reader.require(_needed(r, self._meta))
@@ -151,10 +147,19 @@ class RuleBook:
             self._levels = np.asarray(inner.target_speeds, dtype=np.float64)
 
     def project(self, observation: Observation, actions: Any) -> Projected:
-        """The nearest permitted actions: codes (...) of meta-actions, or shares (..., C)."""
-        if self._meta:
-            return self._choose(observation, np.asarray(actions))
-        return self._clip(observation, np.asarray(actions))
+        """The nearest permitted actions: codes (...) of meta-actions, or shares (..., C).
+
+        Raises
+        ------
+        InputError
+            A code that no meta-action has.
+        """
+        given = np.asarray(actions)
+        if not self._meta:
+            return self._clip(observation, given if given.dtype.kind == "f" else given.astype(np.float32))
+        if given.dtype.kind not in "iu" or np.any((given < 0) | (given >= len(self._labels))):
+            raise InputError(f"actions must be codes from 0 to {len(self._labels) - 1}, got {actions!r}: correct them")
+        return self._choose(observation, given)
 
     # Bounds
 

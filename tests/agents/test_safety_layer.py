@@ -285,6 +285,9 @@ def test_an_alert_forbids_changes_and_higher_targets(meta: RuleBook) -> None:
     fast = moment(meta, integrity__alert=1.0, ego__speed=20.0, ego__target_speed=20.0)
     assert meta.permitted(fast).tolist() == [False, False, False, False, True]
     assert int(meta.project(fast, np.array(LEFT)).actions) == SLOWER
+    for code in (-1, 5, 1.0):
+        with pytest.raises(InputError, match="actions must be codes from 0 to 4"):
+            meta.project(fast, np.array(code))
 
 
 def test_a_change_may_be_withdrawn_and_not_doubled(meta: RuleBook) -> None:
@@ -377,6 +380,7 @@ def test_wrong_environments_and_rules_are_refused() -> None:
         layered.step(np.float32([np.nan, 0.0]))
     with pytest.raises(InputError, match="there is nothing to mask"):
         layered.action_masks()
+    assert layered.book.project(layered._seen, np.array([1, 1])).actions.dtype == np.float32
     SafetyLayer(open_env("Highway", {"observation": {"vehicles": 0}}), {"gap": False, "rss": False})
     SafetyLayer(open_env("LaneKeeping", {"observation": {"integrity": "blind"}}), OFF)
 
