@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -32,7 +32,7 @@ from lanebound.integrity.core.accel import LOGGER
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["EngineVecEnv"]
+__all__ = ["EngineVecEnv", "engine_of"]
 
 
 class EngineVecEnv(VecEnv):
@@ -69,14 +69,12 @@ class EngineVecEnv(VecEnv):
         statistics: bool = False,
         processes: int = 1,
     ) -> None:
-        driven = engines()
-        wrapped = env_id not in IDS and (kind := world_kind(env_id)) is not None and kind.support is not None
-        if env_id not in driven and not wrapped:
+        if (make := engine_of(env_id)) is None:
             if env_id not in IDS:
-                raise InputError(f"env_id '{env_id}' is unknown: {nearest(env_id, driven)}")
+                raise InputError(f"env_id '{env_id}' is unknown: {nearest(env_id, engines())}")
             raise InputError(
-                f"env_id must have an engine, as {', '.join(driven)} do, got {env_id!r}: choose one of these, or use "
-                "DummyVecEnv or SubprocVecEnv"
+                f"env_id must have an engine, as {', '.join(engines())} do, got {env_id!r}: choose one of these, or "
+                "use DummyVecEnv or SubprocVecEnv"
             )
         if isinstance(keys, str):
             raise InputError(f"keys must be a list of entries of info, got {keys!r}: pass [{keys!r}]")
@@ -84,7 +82,6 @@ class EngineVecEnv(VecEnv):
         for key in keys:
             if key not in known:
                 raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, known)}")
-        make = partial(WrappedVectorEnv, env_id) if wrapped else driven[env_id]
         self.envs: VectorDrivingEnv = make(
             num_envs,
             config,
@@ -224,6 +221,14 @@ class EngineVecEnv(VecEnv):
     def _count(self, indices: Any) -> int:
         rows: Iterable[int] = self._get_indices(indices)
         return len(list(rows))
+
+
+def engine_of(env_id: str) -> Callable[..., VectorDrivingEnv] | None:
+    """What makes environments of an id in the engine; None for an id without one."""
+    if env_id in engines():
+        return engines()[env_id]
+    kind = None if env_id in IDS else world_kind(env_id)
+    return None if kind is None or kind.support is None else partial(WrappedVectorEnv, env_id)
 
 
 @cache

@@ -17,6 +17,7 @@ from lanebound.agents.bench.rows import Row, alternate, median_ratio
 from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.ids import Highway, Preset
 from lanebound.envs.vector import VectorDrivingEnv, engine_class
+from lanebound.envs.vector.processes import never_idle
 
 __all__ = ["SEED", "engine_side", "measure"]
 
@@ -44,7 +45,8 @@ def engine_side(
     kind: type[Preset], count: int, config: dict[str, Any], processes: int = 1
 ) -> tuple[Callable[[], int], VectorDrivingEnv]:
     """A policy step of so many environments of an id under random actions, and these environments."""
-    env = engine_class(kind)(count, config, autoreset_mode="SameStep", processes=processes)
+    given: dict[str, Any] = {"processes": processes, "initialize": never_idle}  # all its work is to be timed
+    env = engine_class(kind)(count, config, autoreset_mode="SameStep", **given)
     env.reset(seed=SEED)
     env.action_space.seed(SEED)
     actions, turn = [env.action_space.sample() for _ in range(TURNS)], iter(range(10**9))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,7 +35,9 @@ def train(
     jobs: Annotated[
         int | None,
         typer.Option(
-            min=1, show_default="one for each core and 32 environments", help="Processes that drive the environments."
+            min=1,
+            show_default="one for each core, with 32 environments at least",
+            help="Processes that drive the environments.",
         ),
     ] = None,
     others: Annotated[
@@ -99,7 +102,7 @@ def _trained(
         made.append(steps)
         decisions(min(steps, experiment.steps))
 
-    rows = carry_out(experiment, out, jobs, _say, stepped, imitation)
+    rows = carry_out(experiment, out, jobs, partial(_say, experiment.limit()), stepped, imitation)
     return rows, not made
 
 
@@ -111,10 +114,13 @@ def _kept(out: Path) -> str:
     return "before the first checkpoint, so nothing is kept"
 
 
-def _say(checkpoint: Checkpoint) -> None:
+def _say(limit: float | None, checkpoint: Checkpoint) -> None:
+    """Print a checkpoint; ``limit``: of an episode's cost."""
     found = checkpoint.evaluation
     shown = ", ".join(f"{name} {found[name]:.3g}" for name in ("return", "cost", "success", "mean_speed"))
-    typer.echo(f"{checkpoint.steps:>9} decisions: {shown}{'  best' if checkpoint.best else ''}", err=True)
+    beyond = limit is not None and found["cost"] > limit
+    notes = ("  best" if checkpoint.best else "") + (f"  (over the limit of {limit:g})" if beyond else "")
+    typer.echo(f"{checkpoint.steps:>9} decisions: {shown}{notes}", err=True)
 
 
 Source = Annotated[

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import current_process
 from typing import Any
@@ -17,7 +19,7 @@ from lanebound.agents.learning.others import choose_others
 from lanebound.agents.learning.shield import VecShielded
 from lanebound.agents.plugins import load_plugins, loaded_plugins
 from lanebound.agents.safety_layer import VecSafetyLayer
-from lanebound.agents.vec_env import EngineVecEnv
+from lanebound.agents.vec_env import EngineVecEnv, engine_of
 from lanebound.envs.vector.env import engines
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -42,12 +44,7 @@ def for_learning(experiment: ExperimentConfig, processes: int | None) -> VecEnv:
         The environment refuses its configuration, or the engine must drive and cannot.
     """
     experiment = choose_others(experiment).experiment.as_learnt()
-    if processes is None:
-        most = 1 if current_process().daemon else available_cores()
-        parts = max(1, min(most, experiment.count // LEAST))
-    else:
-        parts = min(processes, experiment.count)
-    env = _in_engine(experiment, experiment.count, parts)
+    env = _in_engine(experiment, experiment.count, processes)
     if env is None:
         makers: list[Any] = [_Maker(experiment)] * experiment.count
         env = DummyVecEnv(makers) if processes in (None, 1) else SubprocVecEnv(makers, start_method="spawn")
@@ -73,22 +70,36 @@ def for_judging(experiment: ExperimentConfig, episodes: int) -> VecEnv:
     return _shielded(experiment, _in_engine(experiment, episodes) or DummyVecEnv([_Maker(experiment)]), 0.0)
 
 
-def _in_engine(experiment: ExperimentConfig, count: int, processes: int = 1) -> VecEnv | None:
+def _in_engine(experiment: ExperimentConfig, count: int, processes: int | None = 1) -> VecEnv | None:
     """Environments in the engine; None where it is switched off, or optional and not possible."""
+    name, config = full_id(experiment.env), experiment.env_overrides
     if experiment.engine is False:
         return None
-    try:
-        name, config = full_id(experiment.env), experiment.env_overrides
-        return EngineVecEnv(name, count, config, statistics=True, processes=processes)
-    except (ConfigError, InputError) as error:
+    if engine_of(name) is None:
         if experiment.engine:
-            if not isinstance(error, ConfigError):  # an id without an engine, not an option that the engine lacks
-                known = ", ".join(env_id.removeprefix("lanebound/").removesuffix("-v0") for env_id in engines())
-                raise ConfigError(
-                    f"engine must be left out for {experiment.env}, got true: the vector engine supports {known}"
-                ) from None
+            known = ", ".join(env_id.removeprefix("lanebound/").removesuffix("-v0") for env_id in engines())
+            raise ConfigError(
+                f"engine must be left out for {experiment.env}, got true: the vector engine supports {known}"
+            )
+        return None
+    try:
+        return _divided(name, count, config, processes)
+    except ConfigError as error:
+        if experiment.engine:
             raise ConfigError(f"engine must be left out here, got true: {error}") from None
         return None
+
+
+def _divided(name: str, count: int, config: Mapping[str, Any], processes: int | None) -> VecEnv:
+    """Environments in the engine over so many processes; None: as :func:`for_learning` chooses."""
+    if processes is not None:
+        return EngineVecEnv(name, count, config, statistics=True, processes=min(processes, count))
+    parts = 1 if current_process().daemon else max(1, min(available_cores(), count // LEAST))
+    if parts > 1:
+        # What a process alone cannot have, such as plug-ins of a notebook, drives in this one.
+        with suppress(InputError, RuntimeError):
+            return EngineVecEnv(name, count, config, statistics=True, processes=parts)
+    return EngineVecEnv(name, count, config, statistics=True)
 
 
 def _shielded(experiment: ExperimentConfig, env: VecEnv, penalty: float) -> VecEnv:

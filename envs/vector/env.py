@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -80,12 +81,13 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         if render_mode is not None:
             raise InputError(f"render_mode must be None, got {render_mode!r}: draw pictures of a single environment")
         workers = require_processes(processes, int(num_envs))
-        single = self._single(config)
+        make = self._maker(config)
+        single = make()
         self.num_envs, self.config, self.render_mode = int(num_envs), single.config, None
         self.mode = _mode_of(autoreset_mode)
         self.metadata = {"render_modes": [], "render_fps": single.config.policy_hz, "autoreset_mode": self.mode}
         self.engine: Engine | EngineProcesses = Engine(single, self.num_envs) if workers == 1 else EngineProcesses(
-            single, self.num_envs, workers, initialize
+            make, single, self.num_envs, workers, initialize
         )  # fmt: skip
         self.single_action_space, self.single_observation_space = single.action_space, single.observation_space
         self.action_space = batch_space(single.action_space, self.num_envs)
@@ -100,9 +102,9 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self._begun = np.zeros(self.num_envs, dtype=np.bool_)
         self._some_over, self._all_begun = False, False
 
-    def _single(self, config: Mapping[str, Any] | None) -> DrivingEnv:
-        """One environment of the configuration."""
-        return self.KIND(config)
+    def _maker(self, config: Mapping[str, Any] | None) -> Callable[[], DrivingEnv]:
+        """What makes one environment of the configuration."""
+        return partial(self.KIND, config)
 
     # Gymnasium
 
@@ -278,8 +280,8 @@ class WrappedVectorEnv(VectorDrivingEnv):
         self.env_id = env_id
         super().__init__(num_envs, config, autoreset_mode, None, processes, initialize)
 
-    def _single(self, config: Mapping[str, Any] | None) -> DrivingEnv:
-        return wrap(self.env_id, config)
+    def _maker(self, config: Mapping[str, Any] | None) -> Callable[[], DrivingEnv]:
+        return partial(wrap, self.env_id, config)
 
 
 _classes: dict[type[Preset], type[VectorDrivingEnv]] = {}

@@ -5,16 +5,25 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
 from lanebound.envs import wrap_vec
+from lanebound.envs.ids import presets
 from lanebound.envs.ids.streets import LaneKeeping
+from lanebound.envs.info import InfoEntry, register_info
 from lanebound.envs.vector.env import VectorDrivingEnv, engine_class
 from lanebound.envs.vector.processes import EngineProcesses
 from lanebound.integrity.core.errors import InputError
@@ -78,22 +87,71 @@ def test_refusals_come_from_the_process_and_the_next_call_works(pair: Pair) -> N
         two.step(np.where(np.arange(COUNT)[:, None] == 3, 99.0, np.zeros(two.action_space.shape)))
 
 
-def test_an_interrupted_call_is_forgotten(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", sorted(kind.__name__ for kind in presets()))
+def test_every_id_drives_in_several_processes_as_in_one(name: str) -> None:
+    """Intersection is one whose drivers highway-env changes when it makes a world."""
+    kind = next(kind for kind in presets() if kind.__name__ == name)
+    config = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "observation": {"history": 2}}
+    make_three = partial(engine_class(kind), 3, config)
+    with closing(make_three()) as one, closing(make_three(processes=2)) as three:
+        equal(one.reset(seed=5), three.reset(seed=5))
+        one.action_space.seed(6)
+        for _ in range(25):
+            action = one.action_space.sample()
+            equal(one.step(action), three.step(action))
+
+
+def test_episodes_prepared_while_nothing_is_asked_are_the_same() -> None:
+    options = {"faults": [{"kind": "gyro_bias", "start_s": 1.0, "magnitude_degps": 1.0}]}
+    make_disabled = partial(engine_class(LaneKeeping), COUNT, CONFIG, autoreset_mode="Disabled")
+    with closing(make_disabled()) as one, closing(make_disabled(processes=2)) as two:
+        engine = two.engine
+        assert isinstance(engine, EngineProcesses)
+        equal(one.reset(seed=3), two.reset(seed=3))
+        _await(lambda: bool(engine._ready.all()))
+        mask = np.array([True, False, True, True, False])
+        equal(one.reset(options=options | {"reset_mask": mask}), two.reset(options=options | {"reset_mask": mask}))
+        equal(one.reset(options={"reset_mask": mask}), two.reset(options={"reset_mask": mask}))
+        equal(one.step(np.zeros(one.action_space.shape)), two.step(np.zeros(one.action_space.shape)))
+
+
+def _await(condition: Callable[[], bool]) -> None:
+    ends = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < ends
+        time.sleep(0.01)
+
+
+def test_an_interrupted_step_demands_a_reset_and_its_answer_is_left_aside(pair: Pair) -> None:
+    """SIGINT comes while the processes work, as Ctrl-C does."""
     one, two = pair
-    one.reset(seed=5), two.reset(seed=5)
-    receive, engine = EngineProcesses._receive, two.engine
-    assert isinstance(engine, EngineProcesses)
-
-    def interrupted(self: EngineProcesses, k: int) -> Any:
-        raise KeyboardInterrupt
-
+    equal(one.reset(seed=5), two.reset(seed=5))
     action = np.zeros(one.action_space.shape)
-    monkeypatch.setattr(EngineProcesses, "_receive", interrupted)
+    engine = two.engine
+    assert isinstance(engine, EngineProcesses)
+    for worker in engine._workers:
+        os.kill(worker.process.pid or 0, signal.SIGSTOP)
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
     with pytest.raises(KeyboardInterrupt):
         two.step(action)
-    monkeypatch.setattr(EngineProcesses, "_receive", receive)
+    for worker in engine._workers:
+        os.kill(worker.process.pid or 0, signal.SIGCONT)
+    with pytest.raises(InputError, match="reset must come first, got step\\(\\) after an interrupted one"):
+        two.step(action)
     equal(one.reset(seed=6), two.reset(seed=6))
     equal(one.step(action), two.step(action))
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="this system has no /proc")
+def test_processes_are_never_interrupted_themselves(pair: Pair) -> None:
+    """Ctrl-C reaches all processes of a terminal; the parent closes the pipes."""
+    engine = pair[1].engine
+    assert isinstance(engine, EngineProcesses)
+    for worker in engine._workers:
+        status = Path(f"/proc/{worker.process.pid}/status").read_text(encoding="utf-8")
+        blocked = int(status.partition("SigBlk:")[2].split()[0], 16)
+        assert blocked >> (signal.SIGINT - 1) & 1
 
 
 def test_the_death_of_a_process_is_told() -> None:
@@ -104,7 +162,7 @@ def test_the_death_of_a_process_is_told() -> None:
         killed = engine._workers[1].process
         os.kill(killed.pid or 0, signal.SIGKILL)
         killed.join()
-        with pytest.raises(RuntimeError, match=r"environments 2 to 4 has ended \(exit code -9; .* make the env"):
+        with pytest.raises(RuntimeError, match=r"environments 2 to 4 has ended, exit code -9: make the env.*memory"):
             envs.step(np.zeros(envs.action_space.shape))
     assert not any(worker.process.is_alive() for worker in engine._workers)
 
@@ -127,6 +185,41 @@ def test_initialize_runs_first_in_each_process() -> None:
         make(2, initialize=lambda: None)
 
 
+class TwoArgumentsError(Exception):
+    """It can be pickled, and not be read again."""
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__(first)
+
+
+def fail_oddly() -> None:
+    raise TwoArgumentsError("odd", "error")
+
+
+def register_late() -> None:
+    register_info(InfoEntry("late_m", "level [m]", lambda observed: observed.belief["pl_at_m"]))
+
+
+def test_what_a_process_raises_or_has_registered_otherwise_is_told() -> None:
+    with pytest.raises(RuntimeError, match="TwoArgumentsError: odd"):
+        make(2, initialize=fail_oddly)
+    with pytest.raises(InputError, match=r"other entries of info than this process, got 'late_m'"):
+        make(2, initialize=register_late)
+
+
+def test_gymnasium_and_the_command_line_divide_environments_too() -> None:
+    with closing(gymnasium.make_vec("lanebound/LaneKeeping-v0", 2, config=CONFIG, processes=2)) as envs:
+        assert isinstance(envs.unwrapped.engine, EngineProcesses)
+    script = "import gymnasium, lanebound.envs\ngymnasium.make_vec('lanebound/LaneKeeping-v0', 2, processes=2).reset()"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "unguarded.py"
+        path.write_text(script, encoding="utf-8")
+        told = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=300)
+    assert told.returncode == 1
+    assert told.stderr.rstrip().splitlines()[-1].startswith("RuntimeError: the process of environments 0 to 0")
+    assert "__main__" in told.stderr.rstrip().splitlines()[-1]
+
+
 def test_ids_of_highway_env_and_one_environment_each() -> None:
     config = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
     make_two = partial(wrap_vec, "u-turn-v0", 2, config, "SameStep")
@@ -147,7 +240,8 @@ def test_numbers_of_processes_that_do_not_exist_are_refused(processes: Any) -> N
 
 def daemonic(answers: Any) -> None:
     try:
-        make(2)
+        make(2).close()
+        answers.put("nothing was refused")
     except InputError as error:
         answers.put(str(error))
 
