@@ -13,6 +13,7 @@ from typing import Any, Final, Literal, Self
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from lanebound.agents.benchmark.outcome import Place, Task
+from lanebound.agents.drivers import LAYERED
 from lanebound.agents.presets import load_named
 from lanebound.envs import FaultLevel
 from lanebound.integrity.core.config import Config, Field, deep_merge
@@ -143,7 +144,7 @@ class SuiteConfig(Config):
                     f"agents must be names or mappings {{NAME: agent}}, got {agent!r} as entry {place + 1}: "
                     "write the name of an agent"
                 )
-        return {name: {"agent": agent} if isinstance(agent, str) else agent for name, agent in given.items()}
+        return {name: _in_full(agent) if isinstance(agent, str) else agent for name, agent in given.items()}
 
     @field_validator("agents")
     @classmethod
@@ -196,6 +197,13 @@ def flat_changes(overrides: Mapping[str, Any], path: str = "") -> dict[str, Any]
     for key, value in overrides.items():
         flat |= flat_changes(value, f"{path}{key}.") if isinstance(value, Mapping) else {f"{path}{key}": value}
     return flat
+
+
+def _in_full(agent: str) -> dict[str, Any]:
+    """The fields of an agent that is given by its name."""
+    if agent.endswith(LAYERED):
+        return {"agent": "layer", "figures": {"over": agent.removesuffix(LAYERED)}}
+    return {"agent": agent}
 
 
 def _require_once(field: str, names: Sequence[str], remedy: str) -> None:

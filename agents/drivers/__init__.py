@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from lanebound.integrity.core.config import Config
     from lanebound.integrity.core.errors import InputError
 
-__all__ = ["ABOUT", "AGENTS", "REMEMBERING", "About", "load_figures", "make_agent", "unknown_agent"]
+__all__ = ["ABOUT", "AGENTS", "LAYERED", "REMEMBERING", "About", "load_figures", "make_agent", "unknown_agent"]
 
 AGENTS = {
     "bank": "lanebound.agents.drivers.degenerate:make_bank",
@@ -24,6 +24,7 @@ AGENTS = {
     "cruise": "lanebound.agents.drivers.cruise:make_cruise",
     "idm": "lanebound.agents.drivers.cruise:make_idm",
     "integrity_aware": "lanebound.agents.drivers.aware:make_integrity_aware",
+    "layer": "lanebound.agents.drivers.layered:make_layer",
     "lqr": "lanebound.agents.drivers.cruise:make_lqr",
     "mpc": "lanebound.agents.drivers.mpc:make_mpc",
     "nominal": "lanebound.agents.drivers.nominal:make_nominal",
@@ -67,6 +68,9 @@ ABOUT = {
     "integrity_aware": About(
         "rss, slower with levels and before outages", f"{LEVELS}, alert, sky ahead", "slows, later stops", ANY
     ),
+    "layer": About(
+        "hard rules over an agent (`over`; nominal), `AGENT+layer`", f"{LEVELS}, alert", "slows, keeps its lane", ANY
+    ),
     "lqr": About("cruise with LQR steering", "position", "nothing", STEERED),
     "mpc": About("model predictive control", f"{LEVELS}, alert", "slows as levels grow", FULL),
     "nominal": About("best laws without integrity; the reference", "position", "nothing", ANY),
@@ -79,6 +83,8 @@ ABOUT = {
     "weave": About("bad on purpose: nominal, from side to side", "position", "nothing", ANY),
 }
 """Descriptions of ``AGENTS``, as ``lanebound agents`` prints them."""
+LAYERED = "+layer"
+"""End of a name ``AGENT+layer``: that agent under the rules of ``layer``."""
 REMEMBERING = ("cbf", "mpc")
 """Agents that use their last command: they are wrong where the commands of another agent are carried out."""
 
@@ -86,9 +92,9 @@ REMEMBERING = ("cbf", "mpc")
 def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = None) -> Driver:
     """The agent of a name for an environment, made from its spaces and its published index alone.
 
-    The name may also be that of a file or a callable, see :func:`~lanebound.agents.drivers.foreign.open_foreign`.
-    ``figures`` change the agent's own configuration, such as ``{"speed_share": 0.5}`` of ``cautious``, or ``{"over":
-    "integrity_aware"}`` of ``cbf``, the agent that it filters.
+    ``AGENT+layer`` is the agent ``layer`` over that one. The name may also be that of a file or a callable, see
+    :func:`~lanebound.agents.drivers.foreign.open_foreign`. ``figures`` change the agent's own configuration, such as
+    ``{"speed_share": 0.5}`` of ``cautious``, or ``{"over": "integrity_aware"}`` of ``cbf``, the agent that it filters.
 
     Raises
     ------
@@ -97,6 +103,8 @@ def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = N
     """
     from lanebound.agents.drivers.foreign import is_foreign, open_foreign
 
+    if name.endswith(LAYERED):
+        return make_agent("layer", env, {"over": name.removesuffix(LAYERED)} | dict(figures or {}))
     if name not in AGENTS and not is_foreign(name):
         raise unknown_agent(name)
     config = load_figures(name, figures)

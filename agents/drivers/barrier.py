@@ -29,15 +29,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import field_validator
 
-from lanebound.agents.drivers.base import Driver, Observation, Reader, Starts, States
-from lanebound.agents.drivers.lateral import errors
+from lanebound.agents.drivers.base import Driver, Observation, Starts, States
+from lanebound.agents.drivers.lane_barrier import LaneBarrier, LaneBarrierConfig
 from lanebound.agents.drivers.leaders import counted, expected_m, in_way
 from lanebound.agents.drivers.plans import EGO_LENGTH_M
 from lanebound.agents.drivers.shares import share_of, value_of
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import ConfigError, InputError
-from lanebound.integrity.core.frames import wrap_angle
 
 __all__ = ["BarrierConfig", "BarrierFilter", "CbfConfig", "make_cbf"]
 
@@ -47,13 +46,11 @@ NEEDED = (
     "ego.speed", "ego.lateral_offset", "road.speed_limit", "integrity.pl_at", "integrity.pl_ct", "integrity.alert"
 )  # fmt: skip
 EPS = 1e-6
-WALK_MPS = 1.0  # at lower speeds steering has no effect
 
 
-class BarrierConfig(Config):
+class BarrierConfig(LaneBarrierConfig):
     """Bounds that the guarantee of the filter assumes, and how early it acts."""
 
-    gamma: float = Field(0.3, gt=0, le=1, description="share of the barrier that a step may use up [-]; chosen")
     brake_mps2: float = Field(5.0, gt=0, description="b, braking that the ego is sure to reach; dry road")
     lead_brake_mps2: float = Field(6.0, gt=0, description="B >= b, hardest braking of the leader; RSS, dry road")
     standstill_m: float = Field(1.0, ge=0, description="gap when both vehicles have stopped; chosen")
@@ -73,13 +70,6 @@ class BarrierConfig(Config):
     lane_extra_m: float = Field(
         20.0, ge=0, description="the lane is widened by PL_CT, by this at most; the largest shown"
     )
-    preview_s: float = Field(1.0, gt=0, description="over which the lane barrier looks ahead; chosen")
-    lane_floor_m: float = Field(0.15, gt=0, description="M at least, for the believed middle; a hand's breadth, chosen")
-    car_width_m: float = Field(2.0, gt=0, description="of highway-env's cars")
-    bend_share: float = Field(
-        0.75, gt=0, le=1, description="of the grip, for bends; the rest is for corrections; chosen"
-    )
-    bend_brake_mps2: float = Field(3.0, gt=0, description="braking assumed before bends; chosen")
     slow_share: float = Field(0.48, gt=0, le=1, description="of the limit, while the lane is kept with slack")
     slow_mps2: float = Field(2.0, gt=0, description="braking down to that; comfortable")
     speed_mps: float = Field(14.0, gt=0, description="limit where the map gives none; 50 km/h")
@@ -98,7 +88,7 @@ class CbfConfig(BarrierConfig):
         return over
 
 
-class BarrierFilter:
+class BarrierFilter(LaneBarrier):
     """Passes the command of a driver, or the nearest command that is safe.
 
     Following has priority. Where no acceleration is safe it brakes fully, ``-b``: then ``h`` of the true state grows,
@@ -129,17 +119,16 @@ class BarrierFilter:
         The actions are not continuous, or the observation shows no protection levels.
     """
 
+    config: BarrierConfig
+
     def __init__(self, env: DrivingEnv, driver: Driver, config: BarrierConfig | None = None) -> None:
-        self.config = BarrierConfig() if config is None else config
-        self.driver, self.reader, self._dt_s = driver, Reader(env.config.observation), env.dt_s
         if not (isinstance(env.action_space, spaces.Box) and env.world.action_type.longitudinal):
             raise InputError("action must be continuous with acceleration for a barrier, got others: choose another id")
+        super().__init__(env, BarrierConfig() if config is None else config)
+        self.driver = driver
         self.reader.require(NEEDED)
         share = self.config.speed_share
         self.speed_share = _declared_scale(env) if share is None else share
-        if not self.reader.previews_m:
-            raise InputError("observation.preview_m must name a distance for this agent, got none: add one")
-        self._inner, self._limits = env.world.action_type, env.config.actuators
         self._tick_s = 1.0 / env.config.simulation_hz
         self.commanded_mps2: Array | float = 0.0
         self.followed: Bools = np.zeros((), dtype=np.bool_)
@@ -258,33 +247,16 @@ class BarrierFilter:
     def bend_bound(self, observation: Observation, bends: list[tuple[float, Array]]) -> Array:
         """Largest acceleration [m/s2] after which all :meth:`bends` can be driven at a share of the grip.
 
-        The believed place may be PL_AT too far back: bends come earlier by that and by the way ``v T`` until the next
-        decision. It may be too far ahead as well: the tightest bend within PL_AT behind counts (:meth:`pass_bend`).
+        The believed place may be too far ahead as well: the tightest bend within PL_AT behind counts
+        (:meth:`pass_bend`).
         """
-        c, dt, grip = self.config, self._dt_s, None if self._limits is None else self._limits.lateral_acceleration_mps2
+        if self._limits is None or self._limits.lateral_acceleration_mps2 is None:
+            return np.full(self.reader.value(observation, "ego.speed").shape, np.inf)
         shown = self.reader.value(observation, "ego.speed")
-        if grip is None:
-            return np.full(shown.shape, np.inf)
         v = np.maximum(self.fastest(shown, self.commanded_mps2), 0.0)
-        late = self.reader.value(observation, "integrity.pl_at") + v * dt
-        squared = c.bend_share * grip / np.maximum(self._behind, 1e-6)
-        for d, kappa in bends:
-            bend = c.bend_share * grip / np.maximum(kappa, 1e-6)
-            squared = np.minimum(squared, bend + 2.0 * c.bend_brake_mps2 * np.maximum(d - late, 0.0))
+        squared = self.bend_squared(observation, bends, v, np.asarray(self._behind))
         self._count("bend", squared < (v + EPS) ** 2, np.zeros(shown.shape, dtype=np.bool_))
-        return np.asarray(np.maximum((np.sqrt(squared) - v) / dt, -c.brake_mps2))
-
-    def bends(self, observation: Observation) -> list[tuple[float, Array]]:
-        """Places [m] and curvatures [1/m] of bends: at each preview, and on average between two of them."""
-        read = self.reader.value
-        turned = -np.arctan2(read(observation, "ego.heading_sin"), read(observation, "ego.heading_cos"))
-        found, at = [], 0.0
-        for d in self.reader.previews_m:
-            heading = read(observation, f"road.preview_{d:g}m_heading")
-            turn = wrap_angle(heading - turned)
-            found += [(at, np.abs(turn) / (d - at)), (d, np.abs(read(observation, f"road.preview_{d:g}m_curvature")))]
-            turned, at = heading, d
-        return found
+        return np.asarray(np.maximum((np.sqrt(squared) - v) / self._dt_s, -self.config.brake_mps2))
 
     def pass_bend(self, observation: Observation, here: Array) -> None:
         """Store the tightest bend within PL_AT behind; ``here`` is the present curvature [1/m]."""
@@ -292,60 +264,11 @@ class BarrierFilter:
         passed = (here >= self._behind) | (way > self.reader.value(observation, "integrity.pl_at"))
         self._behind, self._behind_m = np.where(passed, here, self._behind), np.where(passed, 0.0, way)
 
-    def angle_bounds(self, observation: Observation) -> tuple[Array, Array, Bools]:
-        """Bounds of the steering angle [rad] that keep the car in its lane, and where they have slack.
-
-        ``q = e + v t psi``, the offset after the preview t, stays within ``M = (w - W) / 2 - PL_CT``:
-        ``-gamma M + (1 - gamma) q <= q(next) <= gamma M + (1 - gamma) q``, ``q(next) = q + v T psi + G beta``,
-        ``G = v T + (v T)^2 / L + 2 T v^2 t / L``. e follows q as a lag of first order, so that it stays there too, and
-        one steering angle determines q. All this is of the belief, see the head of this file. Where M is below a floor
-        the car may be outside of its lane already: the floor takes its place, which keeps the departure smallest.
-        """
-        c, dt, reader = self.config, self._dt_s, self.reader
-        v = np.maximum(reader.value(observation, "ego.speed"), 0.0)
-        e, psi, beta, _ = errors(reader, observation)
-        width = reader.value(observation, "ego.lane_width")
-        free = 0.5 * (width - c.car_width_m) - reader.value(observation, "integrity.pl_ct")
-        m = np.maximum(free, c.lane_floor_m)
-        way = v * dt
-        reach = way + way**2 / EGO_LENGTH_M + 2.0 * way * v * c.preview_s / EGO_LENGTH_M
-        q = e + v * c.preview_s * psi
-        middle = -c.gamma * q - way * psi
-        per = np.maximum(reach, 0.1)
-        low, high = (
-            np.arctan(2.0 * np.tan(np.clip(beta + (middle + side * c.gamma * m) / per, -1.0, 1.0))) for side in (-1, 1)
-        )
-        return low, high, (free < c.lane_floor_m) & (v >= WALK_MPS)
-
-    def reachable(self, observation: Observation) -> tuple[Array, Array]:
-        """Steering angles that grip and the wheel's rate allow within a decision [rad]."""
-        limits, (low, high) = self._limits, self._inner.steering_range
-        v = np.maximum(self.reader.value(observation, "ego.speed"), 0.0)
-        now = self.reader.value(observation, "ego.steering")
-        grip = np.full(v.shape, np.pi / 2)
-        if limits is not None and limits.lateral_acceleration_mps2 is not None:
-            sine = np.minimum(limits.lateral_acceleration_mps2 * 0.5 * EGO_LENGTH_M / np.maximum(v, 0.1) ** 2, 0.99)
-            grip = np.arctan(2.0 * np.tan(np.arcsin(sine)))
-        rate = np.inf if limits is None or limits.steering_rate_radps is None else limits.steering_rate_radps
-        turn = rate * self._dt_s
-        return (
-            np.clip(np.maximum(-grip, now - turn), low, high),
-            np.clip(np.minimum(grip, now + turn), low, high),
-        )
-
-    def _lane(self, observation: Observation) -> tuple[Array, Array, Bools, Bools]:
-        """Bounds of steering, free at walking pace; where there is slack; where no angle is safe."""
-        low, high, slack = self.angle_bounds(observation)
-        least, most = self.reachable(observation)
-        rolls = self.reader.value(observation, "ego.speed") >= WALK_MPS
-        none = rolls & ((low > most) | (high < least))
-        return np.where(rolls, low, -np.pi), np.where(rolls, high, np.pi), slack, none
-
     def _steered(self, observation: Observation, share: Array) -> tuple[Array, Bools, Bools]:
         """The share of steering, where the lane is kept with slack, and where no angle is safe."""
         bounds = self._inner.steering_range
         wanted = value_of(share, bounds)
-        low, high, slack, none = self._lane(observation)
+        low, high, slack, none = self.steering_bounds(observation)
         safe = np.clip(wanted, low, high)
         self._count("lane", np.abs(safe - wanted) > EPS, none)
         self.counts["lane slack"] += int(np.sum(slack))
@@ -356,7 +279,7 @@ class BarrierFilter:
         c, v = self.config, self.reader.value(observation, "ego.speed")
         limit = self.reader.value(observation, "road.speed_limit")
         slow = c.slow_share * np.where(limit < self.reader.scale("road.speed_limit"), limit, c.speed_mps)
-        _, _, slack, none = self._lane(observation)
+        _, _, slack, none = self.steering_bounds(observation)
         return np.where(slack | none, np.maximum((slow - v) / self._dt_s, -c.slow_mps2), np.inf)
 
     def _count(self, name: str, changed: Bools, none: Bools) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation, Reader
+from lanebound.agents.drivers.mobil import LANES
 from lanebound.agents.drivers.plans import EGO_LENGTH_M
 
 __all__ = ["Leader", "counted", "expected_m", "in_way", "leader_of"]
@@ -36,13 +37,16 @@ class Leader(NamedTuple):
     broadcast_m: float
 
 
-def in_way(reader: Reader, observation: Observation, extra_m: float) -> Bools:
-    """Which vehicles may be in the ego's lane by their levels across the track, up to a bound, (..., K)."""
-    half = 0.5 * reader.value(observation, "ego.lane_width")[..., None]
+def in_way(reader: Reader, observation: Observation, extra_m: float, side: int = 0) -> Bools:
+    """Which vehicles may be in the ego's lane by their levels across the track, up to a bound, (..., K).
+
+    ``side``: -1 and 1 for the lanes to the left and to the right, as wide as the ego's.
+    """
+    width = reader.value(observation, "ego.lane_width")[..., None]
     extra = np.minimum(reader.rows(observation, "pl_ct"), extra_m)
-    near = np.abs(reader.rows(observation, "lane_offset")) <= half + extra
+    near = np.abs(reader.rows(observation, "lane_offset") - side * width) <= 0.5 * width + extra
     there = reader.rows(observation, "present") > 0.5
-    return there & (near | (reader.rows(observation, "own_lane") > 0.5))
+    return there & (near | (reader.rows(observation, LANES[side]) > 0.5))
 
 
 def counted(reader: Reader, observation: Observation, way: Bools, expected: Array | float) -> Bools:

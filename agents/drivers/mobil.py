@@ -14,7 +14,7 @@ from lanebound.agents.drivers.base import Observation, Reader
 from lanebound.agents.drivers.plans import EGO_LENGTH_M, FREE_M, CruiseConfig, idm_acceleration
 from lanebound.integrity.core.config import Config, Field
 
-__all__ = ["MobilConfig", "Neighbours", "changes", "neighbours"]
+__all__ = ["LANES", "MobilConfig", "Neighbours", "changes", "neighbours"]
 
 Array = NDArray[np.float64]
 LANES = {-1: "left_lane", 0: "own_lane", 1: "right_lane"}

@@ -28,7 +28,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.barrier import WALK_MPS, BarrierConfig, BarrierFilter
+from lanebound.agents.drivers.barrier import BarrierConfig, BarrierFilter
 from lanebound.agents.drivers.base import Observation, Reader, Starts, States
 from lanebound.agents.drivers.horizon import (
     CondensedProblem,
@@ -38,6 +38,7 @@ from lanebound.agents.drivers.horizon import (
     upper_broadcast,
     upper_levels,
 )
+from lanebound.agents.drivers.lane_barrier import WALK_MPS
 from lanebound.agents.drivers.lateral import LqrConfig, LqrSteering, errors
 from lanebound.agents.drivers.leaders import leader_of
 from lanebound.agents.drivers.nominal import Nominal

@@ -128,6 +128,12 @@ def learnt_agent(experiment: ExperimentConfig, checkpoint: Path) -> dict[str, An
     config = deep_merge(experiment.overrides, FLAT)
     if experiment.shield is Shield.CBF:
         return {"agent": "cbf", "figures": {"over": str(checkpoint)}, "config": config}
+    if experiment.shield is Shield.LAYER:
+        return {
+            "agent": "layer",
+            "figures": {"over": str(checkpoint), **experiment.rules.to_dict()},
+            "config": config,
+        }
     return {"agent": str(checkpoint), "config": config}
 
 

@@ -15,6 +15,7 @@ from typing import Any, Self
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from lanebound.agents.drivers import AGENTS, REMEMBERING, unknown_agent
+from lanebound.agents.drivers.rules import SafetyRules
 from lanebound.agents.episodes.opening import full_id, naming, open_env
 from lanebound.agents.learning.multiplier import MultiplierConfig
 from lanebound.agents.presets import load_named
@@ -191,6 +192,7 @@ class Shield(StrEnum):
 
     NONE = "none"
     CBF = "cbf"
+    LAYER = "layer"
 
 
 class Others(StrEnum):
@@ -213,11 +215,13 @@ class ExperimentConfig(Config):
     multiplier: MultiplierConfig = Field(MultiplierConfig(), description="of algorithms under the limit")
     imitation: ImitationConfig | None = Field(None, description="a driver to begin from; None: from nothing")
     shield: Shield = Field(Shield.NONE, description="filter that every action passes, in training and after")
+    rules: SafetyRules = Field(SafetyRules(), description="of the shield layer")
     shield_penalty: float = Field(
         1.0,
         ge=0,
         description="subtracted from the reward in training, times the mean square of the filter's change of an action "
-        "(shares, -1 to 1): without it a policy relies on the filter and does not learn the road; chosen",
+        "(shares, -1 to 1; 1 for another meta-action): without it a policy relies on the filter and does not learn the "
+        "road; chosen",
     )
     engine: bool | None = Field(None, description="whether the vector engine drives; None: where it can")
     others: Others | None = Field(

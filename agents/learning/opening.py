@@ -18,6 +18,7 @@ from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.agents.learning.others import choose_others
 from lanebound.agents.learning.shield import VecShielded
 from lanebound.agents.plugins import load_plugins, loaded_plugins
+from lanebound.agents.safety_layer import VecSafetyLayer
 from lanebound.agents.vec_env import EngineVecEnv, engine_of
 from lanebound.envs.vector.env import engines
 from lanebound.envs.wrappers import EpisodeStatistics
@@ -102,6 +103,8 @@ def _divided(name: str, count: int, config: Mapping[str, Any], processes: int | 
 
 
 def _shielded(experiment: ExperimentConfig, env: VecEnv, penalty: float) -> VecEnv:
+    if experiment.shield is Shield.LAYER:
+        return VecSafetyLayer(env, experiment.rules, penalty)
     return VecShielded(env, experiment.open(), penalty) if experiment.shield is Shield.CBF else env
 
 

@@ -15,6 +15,7 @@ import traceback
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -277,6 +278,7 @@ def _whole() -> Iterator[None]:
 def _start(memory: Any, sizes: tuple[int, int, int], first: int, end: int) -> _Block:
     ours, theirs = SPAWN.Pipe()
     process = SPAWN.Process(target=_serve, args=(theirs, memory, sizes, first), daemon=True, name=f"lanebound-{first}")
+    resource_tracker.ensure_running()  # which would allow interruptions again
     with _whole():  # the process has this mask for good: its parent is interrupted, and closes the pipe
         process.start()
     theirs.close()  # so that ours reads the end of the file when the process ends

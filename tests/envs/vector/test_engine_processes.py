@@ -143,6 +143,17 @@ def test_an_interrupted_step_demands_a_reset_and_its_answer_is_left_aside(pair: 
     equal(one.step(action), two.step(action))
 
 
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="this system has no /proc")
+def test_processes_are_never_interrupted_themselves(pair: Pair) -> None:
+    """Ctrl-C reaches all processes of a terminal; the parent closes the pipes."""
+    engine = pair[1].engine
+    assert isinstance(engine, EngineProcesses)
+    for worker in engine._workers:
+        status = Path(f"/proc/{worker.process.pid}/status").read_text(encoding="utf-8")
+        blocked = int(status.partition("SigBlk:")[2].split()[0], 16)
+        assert blocked >> (signal.SIGINT - 1) & 1
+
+
 def test_the_death_of_a_process_is_told() -> None:
     with closing(make(2)) as envs:
         envs.reset(seed=1)
