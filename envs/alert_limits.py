@@ -36,11 +36,14 @@ class BudgetConfig(Config):
     )
     crossing_m: float = Field(1.5, gt=0, description="limit along where courses cross: half of a 3 m lane, S2 5.3")
     least_m: float = Field(0.29, gt=0, description="lower bound of both limits: of cars on local streets, Reid 2019")
-    most_m: float = Field(15.0, gt=0, description="upper bound of both limits: HAL of road navigation, S5")
+    most_m: float = Field(
+        10.0, gt=0, description="upper bound of both limits: as far as observations show; S5 has 15 m"
+    )
     hold_s: float = Field(1.0, ge=0, description="an alert clears after levels have kept the limits so long; chosen")
 
     @model_validator(mode="after")
     def _bounds_ascend(self) -> Self:
-        if self.least_m > self.most_m:
-            raise ConfigError(f"least_m must be <= most_m = {self.most_m}, got {self.least_m}: lower it")
+        for name in ("most_m", "crossing_m"):
+            if self.least_m > getattr(self, name):
+                raise ConfigError(f"least_m must be <= {name} = {getattr(self, name)}, got {self.least_m}: lower it")
         return self

@@ -202,6 +202,11 @@ class EnvConfig(Config):
                     f"{name} must be left out with alert_limit {self.alert_limit.value!r}, got {getattr(self, name)}: "
                     "remove it, or choose the other kind"
                 )
+        if self.alert_limit is AlertLimit.BUDGET and self.budget.most_m > self.observation.pl_max_m:
+            raise ConfigError(
+                f"budget.most_m must be <= observation.pl_max_m = {self.observation.pl_max_m}, as far as limits are "
+                f"shown, got {self.budget.most_m}: raise pl_max_m or lower most_m"
+            )
         return self
 
     @model_validator(mode="after")

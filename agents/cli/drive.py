@@ -233,10 +233,8 @@ class EpisodeProgress:
 
 
 def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:
-    from lanebound.envs.scene import alert_limits_m
     from lanebound.integrity.assessment.plotting import save
     from lanebound.integrity.assessment.stanford import stanford_figure
 
-    limits = alert_limits_m(env.world, env.config)
-    figure = stanford_figure(log.to_record(env.dt_s), *limits, title=title, counted="decisions")
+    figure = stanford_figure(log.to_record(env.dt_s), *log.limits_m, title=title, counted="decisions")
     save(figure, out / DIAGRAM)

@@ -63,20 +63,29 @@ class EpisodeLog:
         pq.write_table(self.to_table(), part)
         os.replace(part, path)
 
+    @property
+    def limits_m(self) -> tuple[float, float]:
+        """Alert limits along and across the track at the start."""
+        return self.rows[0]["al_at_m"], self.rows[0]["al_ct_m"]
+
     def to_record(self, step_s: float) -> Record:
-        """Belief and truth after every decision, all episodes in one line, for assessment."""
+        """Belief and truth after every decision, all episodes in one line, for assessment.
+
+        Where alert limits change, errors and levels are scaled to :attr:`limits_m`.
+        """
         rows = [row for row in self.rows if row["step"] > 0]
 
         def column(name: str) -> Any:
             return np.array([row[name] for row in rows])
 
+        at, ct = (limit / column(name) for limit, name in zip(self.limits_m, ("al_at_m", "al_ct_m"), strict=True))
         return Record(
             time_s=step_s * np.arange(1.0, len(rows) + 1.0),
             mode=np.array([int(Mode.named(row["mode"])) for row in rows]),
-            error_at_m=column("err_at_m"),
-            error_ct_m=column("err_ct_m"),
-            pl_at_m=column("pl_at_m"),
-            pl_ct_m=column("pl_ct_m"),
+            error_at_m=at * column("err_at_m"),
+            error_ct_m=ct * column("err_ct_m"),
+            pl_at_m=at * column("pl_at_m"),
+            pl_ct_m=ct * column("pl_ct_m"),
             alert=column("alert"),
             available=column("available"),
         )

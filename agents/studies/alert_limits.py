@@ -1,9 +1,10 @@
-"""Whether alert limits are the largest errors that are safe: `nominal`, which ignores alerts, under constant errors.
+"""Whether alert limits are the largest errors that are safe: the harm of `nominal`, which ignores alerts.
 
-Positions are given and displaced, along, across and both. An error of 95 % of the smallest limit that the driver has
-without an error (1 % quantile over decisions) is never alerted, so its cost has to stay within the cost limit of the
-id. One of 150 % of the median limit has to cost more, else the limit alerts for nothing. Other vehicles are perceived
-as they are.
+Positions are given and displaced by a constant, along, across and both. Under an error of 95 % of the smallest limit
+that the driver has without an error (1 % quantile over decisions), which is hardly ever alerted, harm has to stay
+within the cost limit of the id. Under one of 150 % of the median limit it has to exceed it, along and across, else the
+limit alerts for nothing. Harm is the cost without `cost_alert`, `cost_hmi` and `cost_lane_integrity`, which a level
+causes by itself. Other vehicles are perceived as they are.
 """
 
 from __future__ import annotations
@@ -39,7 +40,12 @@ PACKAGES = (
     "lanebound.agents:studies/alert_limits.py",
 )
 SECTIONS = ("costs", "limits")
-ALONE: dict[str, Any] = {"perception": {"source": "truth"}, "faults": "none", "sky": "open"}
+ALONE: dict[str, Any] = {
+    "perception": {"source": "truth"},
+    "faults": "none",
+    "sky": "open",
+    "cost": {"alert": 0.0, "hmi": 0.0, "lane_integrity": 0.0},
+}
 DIRECTIONS = {
     "ahead": (1, 0),
     "behind": (-1, 0),
@@ -49,6 +55,8 @@ DIRECTIONS = {
     "behind, left": (-1, -1),
 }
 ERRORS = ("below", "above")
+ALONG, ACROSS = ("ahead", "behind"), ("right", "left")
+TAKEN = ("cost", "crashed", "alert", "al_at_m", "al_ct_m")
 LOWEST = 0.01  # quantile over decisions: a limit dips for moments where lanes meet
 
 
@@ -75,11 +83,12 @@ class Drive(NamedTuple):
     """Episodes under one error.
 
     costs, crashed (n,) of each episode; along, across, aside (m,) of all decisions: both limits, and offset from the
-    middle of the lane
+    middle of the lane; alerts: share of the decisions
     """
 
     costs: Array
     crashed: Array
+    alerts: float
     along: Array
     across: Array
     aside: Array
@@ -135,7 +144,12 @@ def _of_id(config: AlertLimitsConfig, env: str, advance: Advance) -> dict[str, A
 
 
 def _costs(drive: Drive) -> dict[str, float]:
-    return {"cost": float(drive.costs.mean()), "crashed": float(drive.crashed.mean())}
+    return {
+        "cost": float(drive.costs.mean()),
+        "se": float(drive.costs.std(ddof=1) / np.sqrt(drive.costs.size)),
+        "crashed": float(drive.crashed.mean()),
+        "alerts": drive.alerts,
+    }
 
 
 def _drive(config: AlertLimitsConfig, env: str, changes: Mapping[str, Any]) -> Drive:
@@ -144,6 +158,7 @@ def _drive(config: AlertLimitsConfig, env: str, changes: Mapping[str, Any]) -> D
     kind = engines()[full_id(env)]
     costs, crashed = np.zeros(count), np.zeros(count)
     rows: list[tuple[Array, Array, Array]] = []
+    alerts: list[Array] = []
     with closing(kind(count, given, "SameStep")) as envs, closing(kind.KIND(given)) as single:
         driver: Any = make_agent(config.driver, single)
         observations, _ = envs.reset(seed=SPLITS["train"][0])
@@ -153,13 +168,15 @@ def _drive(config: AlertLimitsConfig, env: str, changes: Mapping[str, Any]) -> D
             observations, _, terminated, truncated, infos = envs.step(actions)
             start = terminated | truncated
             ended = infos.get("final_info", infos)
-            last = {key: np.where(start, ended[key], infos[key]) for key in ("cost", "crashed", "al_at_m", "al_ct_m")}
+            last = {key: np.where(start, ended[key], infos[key]) for key in TAKEN}
             costs += np.where(going, last["cost"], 0.0)
             crashed = np.where(going, last["crashed"], crashed)
             on = going & ~start  # at an end the belief is that of the next episode already
+            alerts.append(last["alert"][going])
             rows.append((last["al_at_m"][going], last["al_ct_m"][going], _aside(envs)[on]))
             going &= ~start
-    return Drive(costs, crashed, *(np.concatenate(column) for column in zip(*rows, strict=True)))
+    limits = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return Drive(costs, crashed, float(np.concatenate(alerts).mean()), *limits)
 
 
 def _aside(envs: Any) -> Array:
@@ -172,18 +189,29 @@ def tables(found: Mapping[str, Any]) -> dict[str, Table]:
 
 
 def _costs_of(found: Mapping[str, Any]) -> Table:
-    """A cost on the wrong side of the cost limit is bold."""
+    """A harm on the wrong side of the cost limit is bold."""
     rows: list[Sequence[str]] = []
     for part in found["ids"].values():
         for kind, of_kind in part["kinds"].items():
-            cells = [part["env"], kind, f"{part['cost_limit']:g}", f"{of_kind['without']['cost']:.3g}"]
-            for size in ERRORS:
-                name, worst = max(of_kind["errors"][size].items(), key=lambda item: item[1]["cost"])
-                wrong = "**" if (worst["cost"] > part["cost_limit"]) == (size == "below") else ""
-                cells.append(f"{wrong}{worst['cost']:.3g}{wrong} ({name})")
+            bare, errors, limit = of_kind["without"], of_kind["errors"], part["cost_limit"]
+            cells = [part["env"], kind, f"{limit:g}", f"{bare['cost']:.3g} ± {bare['se']:.2g}"]
+            name, worst = max(errors["below"].items(), key=lambda item: item[1]["cost"])
+            cells += [_cell(worst, worst["cost"] > limit, name), f"{100 * worst['alerts']:.0f} %"]
+            for directions in (ALONG, ACROSS):
+                name = max(directions, key=lambda direction: errors["above"][direction]["cost"])
+                cells.append(_cell(errors["above"][name], errors["above"][name]["cost"] <= limit, name))
             rows.append(cells)
     below, above = (f"{100 * found['config'][size]:g} % of the" for size in ERRORS)
-    return ("id", "limits", "cost limit", "no error", f"{below} smallest limit", f"{above} median limit"), rows
+    return (
+        ("id", "limits", "cost limit", "no error", f"{below} smallest limit", "alerted", f"{above} median limit, along",
+         "the same, across"),
+        rows,
+    )  # fmt: skip
+
+
+def _cell(costs: Mapping[str, float], wrong: bool, name: str) -> str:
+    mark = "**" if wrong else ""
+    return f"{mark}{costs['cost']:.3g} ± {costs['se']:.2g}{mark} ({name})"
 
 
 def _limits_of(found: Mapping[str, Any]) -> Table:

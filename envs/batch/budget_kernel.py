@@ -1,33 +1,39 @@
 """Alert limits from a budget: how far the believed position may be off until the next decision.
 
 Symbols: w width of the lane, W and L width and length of the car, psi its heading less the lane's, d its offset from
-the middle of the lane, v its speed, kappa the largest curvature of the route from the car to where it is at the next
-decision, the limit along farther, T time between decisions; d, psi and v are believed.
+the middle of the lane, v its speed, T time between decisions, kappa curvature of the route; d, psi and v are believed.
 
 Across, ``AL_CT = room - kappa (AL_AT + L / 2)^2 / 2`` with
 
-    room = min(w / 2 - |d|, w / 2 - tracking) - (W |cos psi| + L |sin psi|) / 2
+    room = min(w / 2 - |d|, w / 2 - tracking) - (W |cos psi| + L |sin psi|) / 2 - v T |sin psi|
 
-During a commanded change the room is that to the edges of both lanes; without a lane to keep, of the road. The other
-term is how far a corner stands out of a bend when the car is AL_AT ahead of its belief or behind it, on the tangent;
-with AL_AT = 0 it is that of the body alone, as in the box of Reid et al. 2019 (arXiv 1906.01061, section III).
+The last term, for a car that moves away from the middle, is what it covers until the next decision. During a commanded
+change the room is that to the edges of both lanes; without a lane to keep, of the road. ``kappa (AL_AT + L / 2)^2 / 2``
+is how far a corner stands out of a bend when the car is AL_AT ahead of its belief or behind it, on the tangent; with
+AL_AT = 0 it is that of the body alone, as in the box of Reid et al. 2019 (arXiv 1906.01061, section III). kappa is the
+largest of the stretch that the body may touch until the next decision, AL_AT to both sides.
 
 Along, AL_AT is the least of what applies:
 
-``sqrt(2 (stand + bend_share (room - stand)) / kappa) - L / 2``  where that term takes what the body alone takes,
-``stand = kappa L^2 / 8``, and a share of the rest.
+``max(sqrt(2 (stand + bend_share (room - stand)) / kappa) - L / 2, u)``  for each bend: where that term takes what the
+body alone takes, ``stand = kappa L^2 / 8``, and a share of the rest; u is how far away the bend is.
 ``crossing``  where the route crosses other roads, or its lane ends (S2 5.3: 1.5 m, half of a lane of 3 m).
 ``gap - PL - v (response + T) - max(v^2 - v_lead^2, 0) / (2 b)``  behind a vehicle that is perceived by radio, PL its
-level: what reaction and braking to its speed leave of the gap (S1: positions are to avoid collisions). A sensor
-measures the gap itself; its bounds have no part of the position.
-The bound of the map's error is in the levels already. Both limits stay between ``least`` and ``most``.
+level: what reaction and braking to its speed leave of the gap (S1: positions are to avoid collisions). A vehicle beside
+counts while the levels of both leave open who is ahead. A sensor measures the gap itself; it has no part of the
+position.
+
+The bound of the map's error is in the levels already. Both limits stay between ``least`` and ``most``: where less than
+``least`` is left it is not the position that makes driving unsafe. Errors of the heading, vehicles beside the car and
+reversing have no part in the budget.
 """
 
 from __future__ import annotations
 
 import math
 
-from lanebound.envs.batch.costs_kernel import UNKNOWN_GAP_M, doubt_m, lead_of
+from lanebound.envs.batch.costs_kernel import UNKNOWN_GAP_M, doubt_m
+from lanebound.envs.batch.lanes_kernel import local
 from lanebound.envs.batch.route_map_kernel import path_at
 from lanebound.integrity.core.accel import jit
 
@@ -37,58 +43,88 @@ STEP_M = 2.5  # between the points at which curvature is read, half of a car
 STRAIGHT_PM = 1e-6
 
 
+@jit(inline=True)
+def _from(b, station, sweep, length):  # type: ignore[no-untyped-def]
+    """How far a station is from what the body covers until the next decision, 0 within."""
+    behind = b.longitudinal_m - 0.5 * length - station
+    return max(behind, station - b.longitudinal_m - sweep - 0.5 * length, 0.0)
+
+
 @jit(borrows=True)
-def _ahead(b, lanes, routes, reach):  # type: ignore[no-untyped-def]
-    """Largest curvature [1/m] of the route from half a car behind on; whether it crosses other roads or ends."""
-    path, most = routes.paths[b.path], 0.0
-    station = b.longitudinal_m - STEP_M
-    while station <= b.longitudinal_m + reach:
-        most = max(most, abs(path_at(routes, lanes, b.path, station)[3]))
-        station += STEP_M
-    crossed, begin = False, -math.inf
+def _bends_m(b, car, sweep, room, lanes, routes, rules):  # type: ignore[no-untyped-def]
+    """Limit along in the bends of the route, and the largest curvature [1/m] that the body touches within it."""
+    f, length = rules.budget, car.length
+    first = b.longitudinal_m - f.most_m - 0.5 * length
+    count = 2 + int((2.0 * f.most_m + sweep + length) / STEP_M)
+    along, most = f.most_m, 0.0
+    for n in range(count):
+        station = first + n * STEP_M
+        curvature = abs(path_at(routes, lanes, b.path, station)[3])
+        if curvature >= STRAIGHT_PM:
+            stand = 0.125 * curvature * length * length
+            spent = stand + f.bend_share * max(room - stand, 0.0)
+            least = math.sqrt(2.0 * spent / curvature) - 0.5 * length
+            along = min(along, max(least, _from(b, station, sweep, length)))
+    for n in range(count):
+        station = first + n * STEP_M
+        if _from(b, station, sweep, length) <= along:
+            most = max(most, abs(path_at(routes, lanes, b.path, station)[3]))
+    return along, most
+
+
+@jit(borrows=True)
+def _is_placed(b, sweep, lanes, routes, rules):  # type: ignore[no-untyped-def]
+    """Whether the route crosses other roads nearby, or its lane ends."""
+    path, f, begin = routes.paths[b.path], rules.budget, -math.inf
+    low, high = b.longitudinal_m - f.most_m, b.longitudinal_m + sweep + f.most_m
+    placed = path.lane_end_m <= high
     for k in range(path.first, path.last + 1):
         piece = routes.pieces[k]
-        if begin <= b.longitudinal_m + reach and piece.end_m >= b.longitudinal_m - STEP_M:
-            crossed = crossed or lanes.table[piece.lane].crossed != 0
+        if begin <= high and piece.end_m >= low:
+            placed = placed or lanes.table[piece.lane].crossed != 0
         begin = piece.end_m
-    return most, crossed or path.lane_end_m - b.longitudinal_m <= reach
+    return placed
 
 
 @jit(borrows=True)
-def _room_m(b, sc, car, lanes, rules):  # type: ignore[no-untyped-def]
+def _room_m(b, sc, car, sweep, lanes, rules):  # type: ignore[no-untyped-def]
     """Room across, from the body to the edges of what it may drive on."""
     half = 0.5 * (car.width * abs(math.cos(b.angle_rad)) + car.length * abs(math.sin(b.angle_rad)))
     whole = rules.keep_lane == 0
     room = -doubt_m(b, sc, 0.0, half, lanes, whole)
     if sc.leaving_side < 0 and not whole:
-        room = min(room, 0.5 * b.lane_width_m - rules.budget.tracking_m - half)
+        outwards = sweep * abs(math.sin(b.angle_rad)) if b.lateral_m * b.angle_rad > 0.0 else 0.0
+        room = min(room - outwards, 0.5 * b.lane_width_m - rules.budget.tracking_m - half)
     return max(room, 0.0)
 
 
 @jit(borrows=True)
 def _behind_m(b, seen, count, length, lanes, rules):  # type: ignore[no-untyped-def]
-    """What reaction and braking leave of the gap to a leader with a radio, infinite without one."""
-    lead, gap = lead_of(b, seen, count, length, lanes)
-    if lead < 0 or seen[lead].relative != 0:
-        return math.inf
-    c, v, w = rules.costs, max(b.speed_mps, 0.0), max(seen[lead].speed_mps, 0.0)
-    needed = v * (c.response_s + rules.policy_s) + max(v * v - w * w, 0.0) / (2.0 * c.brake_min_mps2)
-    return gap - min(seen[lead].pl_at_m, UNKNOWN_GAP_M) - needed
+    """What reaction and braking leave of the gaps to leaders with a radio, infinite without one."""
+    c, v, least = rules.costs, max(b.speed_mps, 0.0), math.inf
+    for i in range(count):
+        other = seen[i]
+        s, r, _ = local(lanes, b.lane, other.x_m, other.y_m)
+        ahead, level = s - b.longitudinal_m, min(other.pl_at_m, UNKNOWN_GAP_M)
+        if (
+            other.relative == 0
+            and abs(r) <= 0.5 * b.lane_width_m
+            and ahead + level + min(b.pl_at_m, UNKNOWN_GAP_M) > 0.0
+        ):
+            w = max(other.speed_mps * math.cos(other.heading_rad - b.heading_rad), 0.0)
+            needed = v * (c.response_s + rules.policy_s) + max(v * v - w * w, 0.0) / (2.0 * c.brake_min_mps2)
+            least = min(least, ahead - 0.5 * (length + other.length_m) - level - needed)
+    return least
 
 
 @jit(borrows=True)
 def budget_limits(b, sc, car, seen, count, lanes, routes, rules):  # type: ignore[no-untyped-def]
     """Alert limits (along, across) [m] of an ego until its next decision; of the true ``car`` only its size is read."""
-    f = rules.budget
-    reach = max(b.speed_mps, 0.0) * rules.policy_s + f.most_m
-    curvature, placed = _ahead(b, lanes, routes, reach)
-    room = _room_m(b, sc, car, lanes, rules)
-    along = min(f.most_m, _behind_m(b, seen, count, car.length, lanes, rules))
-    if curvature >= STRAIGHT_PM:
-        stand = 0.125 * curvature * car.length**2
-        spent = stand + f.bend_share * max(room - stand, 0.0)
-        along = min(along, math.sqrt(2.0 * spent / curvature) - 0.5 * car.length)
-    if placed:
+    f, sweep = rules.budget, max(b.speed_mps, 0.0) * rules.policy_s
+    room = _room_m(b, sc, car, sweep, lanes, rules)
+    along, curvature = _bends_m(b, car, sweep, room, lanes, routes, rules)
+    along = min(along, _behind_m(b, seen, count, car.length, lanes, rules))
+    if _is_placed(b, sweep, lanes, routes, rules):
         along = min(along, f.crossing_m)
     along = max(along, f.least_m)
     corner = along + 0.5 * car.length

@@ -94,6 +94,8 @@ def test_on_a_straight_lane_the_room_is_what_body_and_offset_leave() -> None:
     assert scene.limits(scene.belief(0, 20.0, aside=-0.3))[1] == pytest.approx(0.7)
     turned = HALF_BODY_M * math.cos(0.1) + 0.5 * LENGTH_M * math.sin(0.1)
     assert scene.limits(scene.belief(0, 20.0, angle=-0.1))[1] == pytest.approx(1.9 - turned)
+    away = 10.0 * POLICY_S * math.sin(0.01) + HALF_BODY_M * math.cos(0.01) + 0.5 * LENGTH_M * math.sin(0.01)
+    assert scene.limits(scene.belief(0, 20.0, aside=0.3, angle=0.01))[1] == pytest.approx(1.7 - away)
     assert scene.limits(scene.belief(0, 20.0, aside=1.5)) == (FIGURES.most_m, FIGURES.least_m)
 
 
@@ -101,8 +103,8 @@ def test_a_car_that_is_off_by_its_limits_stays_in_its_lane() -> None:
     """Positions that are wrong by the limits along and across their heading, on straights, bends and between."""
     rng, scene, tried, tightest = np.random.default_rng(3), Scene(bend(), least_m=0.01), 0, math.inf
     for _ in range(2000):
-        lane = int(rng.integers(2))
-        station = float(rng.uniform(20.0, 100.0 if lane == 0 else 0.5 * math.pi * RADIUS_M))
+        lane = int(rng.integers(3))
+        station = float(rng.uniform(20.0 if lane == 0 else 0.0, (100.0, 0.5 * math.pi * RADIUS_M, 40.0)[lane]))
         b = scene.belief(lane, station, aside=float(rng.uniform(-1.0, 1.0) * FIGURES.tracking_m), speed=2.0)
         along, across = scene.limits(b)
         at, ct = rng.choice([-1.0, 0.0, 1.0]) * along, rng.choice([-1.0, 0.0, 1.0]) * across
@@ -135,6 +137,10 @@ def test_behind_a_leader_reaction_and_braking_are_taken_off_the_gap() -> None:
     assert scene.limits(b, 1)[0] == pytest.approx(30.0 - 2.0 - needed)
     scene.follow(b, gap_m=30.0, speed_mps=6.0, level_m=2.0, relative=1)
     assert scene.limits(b, 1)[0] == FIGURES.most_m, "a sensor measures the gap itself"
+    scene.follow(b, gap_m=-6.0, speed_mps=0.0, level_m=2.0)
+    assert scene.limits(b, 1)[0] == FIGURES.least_m, "it may be ahead"
+    scene.follow(b, gap_m=-9.0, speed_mps=0.0, level_m=2.0)
+    assert scene.limits(b, 1)[0] == FIGURES.most_m, "it is behind"
     scene.follow(b, gap_m=5.0, speed_mps=6.0, level_m=math.inf)
     assert scene.limits(b, 1)[0] == FIGURES.least_m
 
@@ -179,6 +185,8 @@ def test_figures_that_make_no_sense_are_refused() -> None:
         ({"alert_limit": "budget", "al_at_m": 2.0}, "al_at_m must be left out with alert_limit 'budget'"),
         ({"budget": {"tracking_m": 0.3}}, "budget must be left out with alert_limit 'fixed'"),
         ({"alert_limit": "budget", "budget": {"least_m": 3.0, "most_m": 2.0}}, "budget.least_m must be <= most_m"),
+        ({"alert_limit": "budget", "budget": {"least_m": 2.0}}, "budget.least_m must be <= crossing_m"),
+        ({"alert_limit": "budget", "budget": {"most_m": 15.0}}, "budget.most_m must be <= observation.pl_max_m"),
         ({"alert_limit": "budget", "budget": {"bend_share": 1.0}}, r"budget.bend_share must lie in \[0, 1\)"),
     ):
         with pytest.raises(ConfigError, match=message):
