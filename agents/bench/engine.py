@@ -17,7 +17,6 @@ from lanebound.agents.bench.rows import Row, alternate, median_ratio
 from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.ids import Highway, Preset
 from lanebound.envs.vector import VectorDrivingEnv, engine_class
-from lanebound.envs.vector.processes import never_idle
 
 __all__ = ["SEED", "engine_side", "measure"]
 
@@ -42,11 +41,10 @@ def _bare_side() -> Callable[[], int]:
 
 
 def engine_side(
-    kind: type[Preset], count: int, config: dict[str, Any], processes: int = 1
-) -> tuple[Callable[[], int], VectorDrivingEnv]:
+    kind: type[Preset], count: int, config: dict[str, Any]
+) -> tuple[Callable[[], int], VectorDrivingEnv]:  # fmt: skip
     """A policy step of so many environments of an id under random actions, and these environments."""
-    given: dict[str, Any] = {"processes": processes, "initialize": never_idle}  # all its work is to be timed
-    env = engine_class(kind)(count, config, autoreset_mode="SameStep", **given)
+    env = engine_class(kind)(count, config, autoreset_mode="SameStep")
     env.reset(seed=SEED)
     env.action_space.seed(SEED)
     actions, turn = [env.action_space.sample() for _ in range(TURNS)], iter(range(10**9))

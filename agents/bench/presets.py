@@ -1,6 +1,6 @@
 """Speed of each id as it is shipped: policy steps a second of the vector engine, against single environments.
 
-Resets count on both sides; actions are random. Two processes drive the environments of the engine, as of SB3.
+Resets count on both sides; actions are random. One process drives the engine, on all its threads.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lanebound.envs.ids import Preset, has_engine, presets
 
 __all__ = ["measure"]
 
-COUNT, PROCESSES = 64, 2
+COUNT = 64
 SURROGATE: dict[str, Any] = {"perception": {"others": "surrogate"}}
 
 
@@ -61,13 +61,13 @@ def measure(rounds: int = 5) -> list[Row]:
 
 def _of_id(kind: type[Preset], rounds: int) -> list[Row]:
     with ExitStack() as opened:
-        step, ours = engine_side(kind, COUNT, {}, PROCESSES)
+        step, ours = engine_side(kind, COUNT, {})
         opened.enter_context(closing(ours))
         sides, name = {"engine": step, "single": _single_side(kind)}, kind.__name__
         if not silence(kind()):
-            sides["surrogate"], others = engine_side(kind, COUNT, SURROGATE, PROCESSES)
+            sides["surrogate"], others = engine_side(kind, COUNT, SURROGATE)
             opened.enter_context(closing(others))
-        envs = opened.enter_context(closing(SubprocVecEnv([kind] * PROCESSES, start_method="spawn")))
+        envs = opened.enter_context(closing(SubprocVecEnv([kind] * 2, start_method="spawn")))
         rates = alternate({**sides, "subproc": _subproc_side(kind, envs)}, rounds, 1.0)
     rows = [
         Row(f"preset_{name}_steps_per_s", statistics.median(rates["engine"]), "1/s", 10_000.0, 20_000.0),

@@ -33,11 +33,10 @@ from lanebound.integrity.sensors.faults import Fault
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
 
-__all__ = ["EngineProcesses", "never_idle", "require_processes"]
+__all__ = ["EngineProcesses", "require_processes"]
 
 Rows = NDArray[np.int64]
 IDLE_S = 0.02  # without a command, after which a process prepares episodes, such as while a policy is updated
-NEVER_S = 1e6
 LEAVE_S = 5.0  # time that a process has to end
 SPAWN = multiprocessing.get_context("spawn")  # a fork would copy threads in any state
 GUARD = (
@@ -257,12 +256,6 @@ def require_processes(processes: object, count: int) -> int:
     if processes > 1 and getattr(here, "_inheriting", False):  # a worker that imports the script of its parent
         raise InputError(f"processes must be 1 while a worker process starts, got {processes}: {GUARD}")
     return int(processes)
-
-
-def never_idle() -> None:
-    """Prepare episodes only when they are asked for; as ``initialize``, where all work is to be timed."""
-    global IDLE_S
-    IDLE_S = NEVER_S
 
 
 @contextmanager
