@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import closing
 from typing import Any
 
 import gymnasium
@@ -32,6 +33,7 @@ from lanebound.integrity.core.errors import InputError
 __all__ = ["SafetyLayer", "VecSafetyLayer"]
 
 Rules = SafetyRules | Mapping[str, Any] | None
+CHANGING = (gymnasium.ObservationWrapper, gymnasium.ActionWrapper, SafetyGymnasium)
 
 
 class SafetyLayer(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
@@ -56,10 +58,7 @@ class SafetyLayer(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     def __init__(self, env: gymnasium.Env[Any, Any], rules: Rules = None) -> None:
         if isinstance(env, VectorEnv) or not isinstance(env.unwrapped, DrivingEnv):
             raise InputError(f"env must be a single environment of lanebound, got {env}: vectors take VecSafetyLayer")
-        if isinstance(env, SafetyGymnasium):
-            raise InputError(
-                "SafetyGymnasium must be around SafetyLayer, got it inside: SafetyGymnasium(SafetyLayer(env))"
-            )
+        _require_around(env)
         self.book = RuleBook(env.unwrapped, _rules_of(rules))
         RecordConstructorArgs.__init__(self, rules=self.book.rules.to_dict())
         super().__init__(env)
@@ -118,12 +117,13 @@ class VecSafetyLayer(VecEnvWrapper):
 
     def __init__(self, venv: VecEnv, rules: Rules = None, penalty: float = 0.0) -> None:
         try:
-            single = DrivingEnv(venv.get_attr("config", [0])[0])
+            config = venv.get_attr("config", [0])[0]
         except AttributeError:
             raise InputError(f"venv must hold environments of lanebound, got {venv}: use EngineVecEnv") from None
-        self.book = RuleBook(single, _rules_of(rules))
-        super().__init__(venv)
-        _require_plain(venv, single)
+        with closing(DrivingEnv(config)) as single:
+            self.book = RuleBook(single, _rules_of(rules))
+            super().__init__(venv)
+            _require_plain(venv, single)
         if unwrap_vec_normalize(venv) is not None:
             raise InputError("VecNormalize must be around VecSafetyLayer, got it inside: exchange the two")
         self._penalty = penalty
@@ -139,7 +139,7 @@ class VecSafetyLayer(VecEnvWrapper):
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Hand on the nearest permitted actions."""
-        self._found = self.book.project(self._seen, actions)
+        self._found = self.book.project(self._begun("step"), actions)
         self.venv.step_async(self._found.actions)
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
@@ -154,8 +154,9 @@ class VecSafetyLayer(VecEnvWrapper):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """The meta-actions that are possible and permitted, (N, A) bool; one at least in each row."""
+        seen = self._begun("action_masks")
         possible: NDArray[np.bool_] = np.stack(self.venv.env_method("action_masks"))
-        return possible & self.book.permitted(self._seen)
+        return possible & self.book.permitted(seen)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
         """As of the environments; ``action_masks`` is that of the layer."""
@@ -164,9 +165,24 @@ class VecSafetyLayer(VecEnvWrapper):
         masks = self.action_masks()
         return [masks[row] for row in self._get_indices(indices)]
 
+    def _begun(self, what: str) -> Any:
+        """The last observations; InputError before the first reset."""
+        if self._seen is None:
+            raise InputError(f"reset must come before {what}, got no episode: call reset() first")
+        return self._seen
+
 
 def _rules_of(given: Rules) -> SafetyRules:
     return given if isinstance(given, SafetyRules) else SafetyRules.load(given or {}, "rules")
+
+
+def _require_around(env: gymnasium.Env[Any, Any]) -> None:
+    """Refuse wrappers inside that may change observations or actions, or that return six values."""
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, CHANGING):
+            name = type(env).__name__
+            raise InputError(f"{name} must be around SafetyLayer, got it inside: {name}(SafetyLayer(env))")
+        env = env.env
 
 
 def _require_plain(env: Any, single: DrivingEnv) -> None:

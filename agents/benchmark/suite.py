@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, Self
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from lanebound.agents.benchmark.outcome import Place, Task
-from lanebound.agents.drivers import LAYERED
+from lanebound.agents.drivers import LAYERED, bare_name
 from lanebound.agents.presets import load_named
 from lanebound.envs import FaultLevel
 from lanebound.integrity.core.config import Config, Field, deep_merge
@@ -202,7 +202,7 @@ def flat_changes(overrides: Mapping[str, Any], path: str = "") -> dict[str, Any]
 def _in_full(agent: str) -> dict[str, Any]:
     """The fields of an agent that is given by its name."""
     if agent.endswith(LAYERED):
-        return {"agent": "layer", "figures": {"over": agent.removesuffix(LAYERED)}}
+        return {"agent": "layer", "figures": {"over": bare_name(agent)}}
     return {"agent": agent}
 
 

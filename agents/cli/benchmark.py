@@ -131,7 +131,7 @@ def _plan(suite: SuiteConfig, out: Path, fresh: bool) -> tuple[BenchmarkPlan, bo
 def _suite(name: str, agents: str | None, seeds: int | None, changed: dict[str, Any]) -> SuiteConfig:
     """The suite with the changes of the options."""
     from lanebound.agents.benchmark.suite import load_suite, parse_agents
-    from lanebound.agents.drivers import AGENTS, LAYERED, unknown_agent
+    from lanebound.agents.drivers import AGENTS, bare_name, unknown_agent
     from lanebound.agents.drivers.foreign import is_foreign
     from lanebound.integrity.core.presets import deep_merge
 
@@ -142,7 +142,7 @@ def _suite(name: str, agents: str | None, seeds: int | None, changed: dict[str, 
         return found
     known = {name: chosen.to_dict() for name, chosen in found.agents.items()}
     given = parse_agents(agents)
-    for agent in (name.removesuffix(LAYERED) for name in given.values()):
+    for agent in (bare_name(name) for name in given.values()):
         if agent not in known and agent not in AGENTS and not is_foreign(agent):
             raise unknown_agent(agent, list(known))
     wanted = {name: known.get(agent, agent) for name, agent in given.items()}

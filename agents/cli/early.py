@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lanebound.agents.cli.static import static_table
-from lanebound.agents.drivers import AGENTS, LAYERED, unknown_agent
+from lanebound.agents.drivers import AGENTS, bare_name, unknown_agent
 
 __all__ = ["known_skies", "refuse_early", "refuse_film", "refuse_preset"]
 
@@ -34,7 +34,7 @@ def refuse_early(
     """
     if env is not None:
         _require_env(env)
-    agent = None if agent is None else agent.removesuffix(LAYERED)
+    agent = None if agent is None else bare_name(agent)
     if agent is not None and agent not in AGENTS and ":" not in agent:
         if not agent.endswith(FILES):
             raise unknown_agent(agent)

@@ -14,7 +14,18 @@ if TYPE_CHECKING:
     from lanebound.integrity.core.config import Config
     from lanebound.integrity.core.errors import InputError
 
-__all__ = ["ABOUT", "AGENTS", "LAYERED", "REMEMBERING", "About", "load_figures", "make_agent", "unknown_agent"]
+__all__ = [
+    "ABOUT",
+    "AGENTS",
+    "LAYERED",
+    "REMEMBERING",
+    "About",
+    "bare_name",
+    "load_figures",
+    "make_agent",
+    "require_bindable",
+    "unknown_agent",
+]
 
 AGENTS = {
     "bank": "lanebound.agents.drivers.degenerate:make_bank",
@@ -89,6 +100,32 @@ REMEMBERING = ("cbf", "mpc")
 """Agents that use their last command: they are wrong where the commands of another agent are carried out."""
 
 
+def bare_name(name: str) -> str:
+    """The agent of a name ``AGENT+layer``; other names as they are.
+
+    Raises
+    ------
+    ConfigError
+        The rules of ``layer`` cannot bind that agent.
+    """
+    over = name.removesuffix(LAYERED)
+    if over != name:
+        require_bindable(over)
+    return over
+
+
+def require_bindable(over: str) -> None:
+    """Raise ConfigError for an agent that ``layer`` cannot bind: itself, or one that remembers its commands."""
+    from lanebound.integrity.core.errors import ConfigError
+
+    if over == "layer" or over.endswith(LAYERED):
+        raise ConfigError(f"over must be another agent than layer, got {over}: choose nominal or ppo, say")
+    if over in REMEMBERING:
+        raise ConfigError(
+            f"over must have no memory of its commands, got {over}: the layer changes them, choose nominal, say"
+        )
+
+
 def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = None) -> Driver:
     """The agent of a name for an environment, made from its spaces and its published index alone.
 
@@ -104,7 +141,7 @@ def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = N
     from lanebound.agents.drivers.foreign import is_foreign, open_foreign
 
     if name.endswith(LAYERED):
-        return make_agent("layer", env, {"over": name.removesuffix(LAYERED)} | dict(figures or {}))
+        return make_agent("layer", env, {"over": bare_name(name)} | dict(figures or {}))
     if name not in AGENTS and not is_foreign(name):
         raise unknown_agent(name)
     config = load_figures(name, figures)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from pydantic import field_validator
 
+from lanebound.agents.drivers import require_bindable
 from lanebound.agents.drivers.base import Driver, Starts, States
 from lanebound.agents.drivers.rules import RULES, RuleBook, SafetyRules
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Field
-from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["LayerConfig", "LayeredDriver", "make_layer"]
 
@@ -20,13 +20,16 @@ __all__ = ["LayerConfig", "LayeredDriver", "make_layer"]
 class LayerConfig(SafetyRules):
     """The rules, and the agent that they bind."""
 
-    over: str = Field("nominal", min_length=1, description="agent whose actions are bound, any but layer itself")
+    over: str = Field(
+        "nominal",
+        min_length=1,
+        description="agent whose actions are bound, any without layer or a memory of its commands",
+    )
 
     @field_validator("over")
     @classmethod
     def _is_another(cls, over: str) -> str:
-        if over == "layer":
-            raise ConfigError("over must be another agent than layer, got layer: choose nominal or ppo, say")
+        require_bindable(over)
         return over
 
 

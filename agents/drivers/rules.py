@@ -7,27 +7,34 @@ observation and for N of them.
 |---|---|
 | ``alert`` | no lane change that begins while an alert is on |
 | ``gap`` | a lane change only if every vehicle that may be on that lane is far enough, and one lane at a time |
-| ``level`` | speeds up to ``limit c / max(PL / AL, c)``; under an alert PL / AL counts as 1 at least |
+| ``level`` | speeds up to ``limit c / max(PL / AL, c)``, but always up to ``least_share`` (0.25) of the limit |
 | ``rss`` | speeds whose longitudinal RSS distance is at most the gap less PL_AT of both vehicles |
 | ``bend`` | speeds that need at most a share of the grip in the bends ahead |
-| ``lane`` | steering that keeps the believed car, less PL_CT, in its lane and in lanes that it may change to |
+| ``lane`` | steering that keeps the believed car, less PL_CT, in lanes it may use; a room of 0.15 m is always left |
 
-``level``: the share of the limit is inverse to the larger ratio of the two axes, so that ``v PL <= c limit AL``: what a
-level sweeps in a second is at most what it sweeps at the share c of the limit when it is as large as its alert limit.
+The floors are ``least_share``, and ``barrier.lane_floor_m`` of room across the lane: below them no rule bounds.
+
+``level``: the share of the limit is inverse to the larger ratio of the two axes as shown (3 at most, and where a level
+is missing), under an alert to 1 at least. So ``v PL <= c limit AL``: what a level sweeps in a second is at most what it
+sweeps at the share c of the limit when it is as large as its alert limit.
 The form is chosen; c is the share that ``cost_alert`` permits. The share has a floor, because a level that is missing
 between buildings does not come back for a car that stands there.
 
 ``gap``, ``rss``: definition 1 of Shalev-Shwartz et al. 2017 with the figures of ``cost_headway``; a response time of at
 least a decision; gaps bumper to bumper less PL_AT of both; lanes widened by PL_CT of both. For ``gap`` the ego must be
 safe behind each vehicle ahead, and each vehicle behind must be safe behind the ego. During a change, and where the
-believed body reaches over a lane marking, vehicles ahead on both lanes count for ``rss``.
+believed body reaches over a lane marking, vehicles ahead on both lanes count for ``rss``. A vehicle that is believed
+level with the ego or behind it counts as ahead, with a gap of 0, if its level reaches over the ego; ``gap`` forbids the
+change then, as no gap is left in either order. A missing level of a vehicle forbids changes to its lane; ``rss`` counts
+it as 40 m at least, as ``cost_headway`` does.
 
 Meta-actions are permitted by the target speed that they set. Where no target is slow enough, only the lowest one that
 an action sets is permitted, so that some action always is. A permitted speed u bounds the acceleration of continuous
 actions by ``(u - v) / T``, and by no more than the braking of its rule. ``lane`` is the barrier of
 :mod:`.lane_barrier`, for continuous steering alone; meta-actions are steered by the environment.
 
-Not bounded: crossing traffic, vehicles that are not among the observed ones, the ends of lanes, reversing.
+Not bounded: crossing traffic, vehicles that are not among the observed ones, the ends of lanes, reversing. Oncoming
+vehicles count as standing ones.
 """
 
 from __future__ import annotations
@@ -54,6 +61,7 @@ __all__ = ["RULES", "Projected", "RuleBook", "SafetyRules"]
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 RULES = ("alert", "gap", "level", "rss", "bend", "lane")
+UNKNOWN_M = 40.0  # what a missing level counts as, as of cost_headway
 SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
 TARGET = {-1: "ego.target_left", 1: "ego.target_right"}
 EXISTS = {-1: "ego.left_exists", 1: "ego.right_exists"}
@@ -74,7 +82,7 @@ class SafetyRules(Config):
         None, gt=0, le=1, description="c, PL / AL up to which the limit holds [-]; None: cost.alert_speed_share"
     )
     least_share: float = Field(
-        0.25, ge=0, le=1, description="of the limit, below which no level takes it [-]; 0: to a standstill; chosen"
+        0.25, ge=0, le=1, description="of the limit, below which no level takes it [-]; 0: to c / 3; chosen"
     )
     slow_mps2: float = Field(2.0, gt=0, description="braking for levels at most; comfortable")
     speed_mps: float = Field(14.0, gt=0, description="limit where the map gives none; 50 km/h")
@@ -134,7 +142,7 @@ class RuleBook:
                 "observation.vehicles must be > 0 for the rules gap and rss, got 0: show vehicles, or set both to false"
             )
         if r.gap or r.rss:
-            self.reader.require(["traffic.v0_pl_at", "traffic.v0_pl_ct"])
+            self.reader.require([f"traffic.v0_pl_{name}" for name in ("at", "ct", "exists")])
         self._barrier = LaneBarrier(env, r.barrier) if self._steers or r.bend else None
         self._calm = max(c.alert_speed_share, 1e-3) if r.calm_ratio is None else r.calm_ratio
         self._rss = RssConfig(
@@ -182,11 +190,7 @@ class RuleBook:
 
     def _level_speed(self, observation: Observation) -> Array:
         read = self.reader.value
-        at, ct = (
-            read(observation, f"integrity.pl_{axis}") / np.maximum(read(observation, f"integrity.al_{axis}"), EPS)
-            for axis in ("at", "ct")
-        )
-        ratio = np.maximum(at, ct)
+        ratio = np.maximum(read(observation, "integrity.ratio_at"), read(observation, "integrity.ratio_ct"))
         ratio = np.where(self._alert(observation), np.maximum(ratio, 1.0), ratio)
         limit = read(observation, "road.speed_limit")
         limit = np.where(limit < self.reader.scale("road.speed_limit"), limit, self.rules.speed_mps)
@@ -194,13 +198,13 @@ class RuleBook:
 
     def _rss_speed(self, observation: Observation) -> Array:
         """A gap less levels below 0 counts as 0: the car then falls back behind its leader."""
-        free, others = self._others(observation)
+        free, others, level = self._others(observation)
         way, e = self._in_way(observation, 0), self.reader.value(observation, "ego.lateral_offset")
         over = 0.5 * (self.reader.value(observation, "ego.lane_width") - self.rules.barrier.car_width_m)
         for side, target in TARGET.items():
             both = (self.reader.value(observation, target) > 0.5) | (side * e > over)
             way = way | (both[..., None] & self._in_way(observation, side))
-        ahead = way & (self.reader.rows(observation, "lane_gap") > 0.0)
+        ahead = way & (self.reader.rows(observation, "lane_gap") + level > 0.0)
         safe = rss_speed(np.maximum(free, 0.0), others, self._rss)
         return np.asarray(np.where(ahead, safe, np.inf).min(axis=-1))
 
@@ -210,18 +214,22 @@ class RuleBook:
         return np.sqrt(self._barrier.bend_squared(observation, bends, v, np.zeros_like(v)))
 
     def _lacks_gap(self, observation: Observation, side: int) -> Bools:
-        free, others = self._others(observation)
+        """Where the order is uncertain, the level is longer than the gap, and less than 0 is free."""
+        free, others, _ = self._others(observation)
+        known = self.reader.rows(observation, "pl_exists") > 0.5
         room, own = np.maximum(free, 0.0), self._speed(observation)[..., None]
         ahead = self.reader.rows(observation, "lane_gap") > 0.0
         safe = np.where(ahead, own <= rss_speed(room, others, self._rss), others <= rss_speed(room, own, self._rss))
-        return np.asarray((self._in_way(observation, side) & ~(safe & (free >= 0.0))).any(axis=-1))
+        return np.asarray((self._in_way(observation, side) & ~(safe & known & (free >= 0.0))).any(axis=-1))
 
-    def _others(self, observation: Observation) -> tuple[Array, Array]:
-        """Of all vehicles: free distance along the route less both levels [m], and speed [m/s], each (..., K)."""
+    def _others(self, observation: Observation) -> tuple[Array, Array, Array]:
+        """Free distance along the route less both levels [m], speed [m/s], and both levels [m], each (..., K)."""
         rows = self.reader.rows
         free = np.abs(rows(observation, "lane_gap")) - 0.5 * (rows(observation, "length") + EGO_LENGTH_M)
         speed = self.reader.value(observation, "ego.speed")[..., None] + rows(observation, "velocity_ahead")
-        return free - rows(observation, "pl_at"), np.maximum(speed, 0.0)
+        level = rows(observation, "pl_at")
+        level = np.where(rows(observation, "pl_exists") > 0.5, level, np.maximum(level, UNKNOWN_M))
+        return free - level, np.maximum(speed, 0.0), level
 
     def _in_way(self, observation: Observation, side: int) -> Bools:
         return in_way(self.reader, observation, self.rules.lane_extra_m, side)
@@ -334,7 +342,7 @@ def _needed(rules: SafetyRules, meta: bool) -> list[str]:
     if rules.alert or rules.level:
         found.append("integrity.alert")
     if rules.level:
-        found += ["road.speed_limit", *(f"integrity.{kind}_{axis}" for kind in ("pl", "al") for axis in ("at", "ct"))]
+        found += ["road.speed_limit", "integrity.ratio_at", "integrity.ratio_ct"]
     if rules.bend or rules.lane:
         found += ["integrity.pl_at", "integrity.pl_ct"]
     return [*found, *(["ego.target_speed"] if meta else []), *TARGET.values(), *EXISTS.values()]

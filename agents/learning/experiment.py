@@ -276,6 +276,24 @@ class ExperimentConfig(Config):
             )
         return self
 
+    @model_validator(mode="after")
+    def _layer_has_what_it_needs(self) -> Self:
+        if self.shield is not Shield.LAYER:
+            if self.rules != SafetyRules():
+                raise ConfigError(
+                    f"rules must be left out for shield {self.shield}, which ignores them, got changed ones: leave "
+                    "them out, or write shield: layer"
+                )
+            return self
+        observation = self.overrides.get("observation")
+        shown = observation.get("integrity", "full") if isinstance(observation, Mapping) else "full"
+        if shown != "full":
+            raise ConfigError(
+                f"overrides.observation.integrity must be full for shield layer, got {shown!r}: the rules read levels; "
+                "leave it out, or choose another shield"
+            )
+        return self
+
     @property
     def env_overrides(self) -> dict[str, Any]:
         """Changes of the preset of the environment's id; observations are flat."""

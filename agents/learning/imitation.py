@@ -29,7 +29,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Driver
-from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig
+from lanebound.agents.drivers.layered import LayeredDriver
+from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig, Shield
 from lanebound.agents.learning.opening import episode_seeds
 from lanebound.envs.observation import ObservationConfig, entries
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -47,7 +48,7 @@ class Teacher(NamedTuple):
 
     Attributes
     ----------
-    driver, lessons : the driver, and the configuration of the imitation
+    driver, lessons : the driver, under the rules of the shield layer, and the configuration of the imitation
     experiment : has environments with the observations of the driver
     places : places of the policy's entries among those of the driver
     """
@@ -70,13 +71,15 @@ def teacher_of(experiment: ExperimentConfig) -> Teacher | None:
         return None
     with closing(experiment.open()) as single:
         ours = single.config.observation
-    shown = experiment.as_driver_sees()
     try:
+        shown = experiment.as_driver_sees()
         single = shown.open()
     except ConfigError as error:  # of the driver's observations, as those of the experiment are valid
         raise ConfigError(str(error).replace("overrides.observation", "imitation.observation")) from None
     with closing(single):
         driver, theirs = make_agent(experiment.imitation.driver, single), single.config.observation
+        if experiment.shield is Shield.LAYER:  # labels are what is carried out
+            driver = LayeredDriver(single, driver, experiment.rules)
     return Teacher(driver, experiment.imitation, shown, _places(ours, theirs))
 
 

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import pickle
+from contextlib import closing
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from experiments import experiment
-from gymnasium.wrappers import FlattenObservation, RescaleAction
+from gymnasium.wrappers import FlattenObservation, FrameStackObservation, RescaleAction, TransformAction
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.maskable.utils import get_action_masks
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from lanebound.agents.benchmark import SuiteConfig
+from lanebound.agents.cli.early import refuse_early
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.rules import RULES, RuleBook, SafetyRules
@@ -23,10 +26,12 @@ from lanebound.agents.drivers.shares import value_of
 from lanebound.agents.episodes import open_env
 from lanebound.agents.interventions import INTERVENTIONS_KEY
 from lanebound.agents.learning.evaluation import learnt_agent
+from lanebound.agents.learning.imitation import teacher_of
 from lanebound.agents.learning.opening import for_learning
 from lanebound.agents.safety_layer import SafetyLayer, VecSafetyLayer
 from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs import IDS
+from lanebound.envs.core import DrivingEnv
 from lanebound.envs.wrappers import SafetyGymnasium
 from lanebound.integrity.core.errors import ConfigError, InputError
 
@@ -59,27 +64,28 @@ class Shown:
     def alert(self) -> bool:
         return self.value("integrity.alert") > 0.5
 
-    def vehicles(self, lane: str) -> list[tuple[float, float, float]]:
-        """Gap between middles, free gap less levels, and speed of the vehicles that are flagged on a lane."""
+    def vehicles(self, lane: str) -> list[tuple[float, float, float, float]]:
+        """Gap between middles, levels, free gap less levels, and speed of the vehicles that are flagged on a lane."""
         found = []
         for k in range(self.reader.config.vehicles):
             row = {name: self.value(f"traffic.v{k}_{name}") for name in (
-                "present", lane, "lane_gap", "length", "pl_at", "velocity_ahead")}  # fmt: skip
+                "present", lane, "lane_gap", "length", "pl_at", "pl_exists", "velocity_ahead")}  # fmt: skip
             if row["present"] > 0.5 and row[lane] > 0.5:
-                free = abs(row["lane_gap"]) - 0.5 * (row["length"] + 5.0) - row["pl_at"]
-                found.append((row["lane_gap"], free, max(self.value("ego.speed") + row["velocity_ahead"], 0.0)))
+                level = row["pl_at"] if row["pl_exists"] > 0.5 else 40.0
+                free = abs(row["lane_gap"]) - 0.5 * (row["length"] + 5.0) - level
+                found.append((row["lane_gap"], level, free, max(self.value("ego.speed") + row["velocity_ahead"], 0.0)))
         return found
 
     def may_change(self, lane: str) -> bool:
         """Whether the flagged vehicles of a lane leave the RSS distances, levels subtracted."""
         return all(
             free >= (rss_m(self.v, other) if gap > 0.0 else rss_m(other, self.v)) - 1e-3 and free >= 0.0
-            for gap, free, other in self.vehicles(lane)
+            for gap, _, free, other in self.vehicles(lane)
         )
 
     def level_mps(self) -> float:
         """The highest speed by level."""
-        ratio = max(self.value(f"integrity.pl_{a}") / self.value(f"integrity.al_{a}") for a in ("at", "ct"))
+        ratio = max(self.value(f"integrity.ratio_{a}") for a in ("at", "ct"))
         calm, limit = self.config.cost.alert_speed_share, self.value("road.speed_limit")
         ratio = max(ratio, 1.0) if self.alert else ratio
         return (limit if limit < 40.0 else 14.0) * max(calm / max(ratio, calm), 0.25)
@@ -87,8 +93,8 @@ class Shown:
     def rss_mps(self) -> float:
         """The highest speed by the flagged leaders, in steps of 0.1 m/s."""
         tops = [60.0]
-        for gap, free, lead in self.vehicles("own_lane"):
-            if gap > 0.0:
+        for gap, level, free, lead in self.vehicles("own_lane"):
+            if gap + level > 0.0:
                 fits = [rss_m(v, lead) <= max(free, 0.0) for v in SPEEDS]
                 tops.append(float(SPEEDS[fits][-1]) if any(fits) else 0.0)
         return min(tops)
@@ -96,8 +102,6 @@ class Shown:
 
 @pytest.fixture(autouse=True)
 def _one_thread() -> None:
-    import torch
-
     torch.set_num_threads(1)
 
 
@@ -109,6 +113,13 @@ class Spy(gymnasium.Wrapper):
     def step(self, action: Any) -> Any:
         self.action = action
         return self.env.step(action)
+
+
+class Falsified(gymnasium.ObservationWrapper):
+    """Shows another state in the same space."""
+
+    def observation(self, observation: Any) -> Any:
+        return {group: 0.0 * part for group, part in observation.items()}
 
 
 @pytest.mark.parametrize(("name", "action"), KINDS)
@@ -240,7 +251,7 @@ def moment(book: RuleBook, **values: float) -> np.ndarray:
     """A flat observation of a calm car at 10 m/s on a lane of 4 m between two others, 20 m/s permitted."""
     shown = {"ego__speed": 10.0, "ego__target_speed": 10.0, "ego__lane_width": 4.0, "ego__heading_cos": 1.0,
              "ego__left_exists": 1.0, "ego__right_exists": 1.0, "road__speed_limit": 20.0,
-             "integrity__al_at": 1.5, "integrity__al_ct": 1.0}  # fmt: skip
+             "integrity__al_at": 1.5, "integrity__al_ct": 1.0, "traffic__v0_pl_exists": 1.0}  # fmt: skip
     out = np.zeros(len(book.reader.columns), dtype=np.float32)
     for name, value in (shown | values).items():
         column = name.replace("__", ".")
@@ -262,14 +273,15 @@ LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
 
 
 def test_the_permitted_speed_falls_with_the_level(meta: RuleBook) -> None:
-    """By hand: half the limit at the alert limit, a quarter at twice of it, and no less."""
+    """By hand: half the limit at the alert limit, a quarter at twice of it, and no less; it needs no clipped level."""
 
     def speed(**values: float) -> float:
         return float(meta.speeds(moment(meta, **values))["level"])
 
-    for level, expected in ((0.0, 20.0), (0.5, 20.0), (0.625, 16.0), (1.0, 10.0), (1.6, 6.25), (8.0, 5.0)):
-        assert speed(integrity__pl_ct=level) == pytest.approx(expected, rel=1e-5)
-        assert speed(integrity__pl_at=1.5 * level) == pytest.approx(expected, rel=1e-5)
+    for ratio, expected in ((0.0, 20.0), (0.5, 20.0), (0.625, 16.0), (1.0, 10.0), (1.6, 6.25), (3.0, 5.0)):
+        assert speed(integrity__ratio_ct=ratio) == pytest.approx(expected, rel=1e-5)
+        assert speed(integrity__ratio_at=ratio) == pytest.approx(expected, rel=1e-5)
+    assert speed(integrity__pl_ct=20.0, integrity__al_ct=20.0) == pytest.approx(20.0)  # both clipped
     assert speed(integrity__alert=1.0) == pytest.approx(10.0)
     assert speed(road__speed_limit=40.0) == pytest.approx(14.0)  # the map gives none
 
@@ -310,6 +322,32 @@ def test_a_gap_counts_less_the_levels_of_both(meta: RuleBook, ahead: bool) -> No
                   traffic__v0_length=5.0, traffic__v0_pl_ct=2.5)  # fmt: skip
     assert not meta.permitted(wide)[LEFT]
     assert meta.permitted(wide)[RIGHT]
+
+
+@pytest.mark.parametrize("gap", [3.0, 0.0, -3.0])
+def test_a_leader_that_may_be_ahead_counts_wherever_it_is_believed(meta: RuleBook, gap: float) -> None:
+    """With a level of 4 m it may be ahead of the ego: no gap is left. With 2 m one behind is behind."""
+    there = {"traffic__v0_present": 1.0, "traffic__v0_length": 5.0, "traffic__v0_lane_gap": gap}
+    own = {**there, "traffic__v0_own_lane": 1.0, "traffic__v0_velocity_ahead": -10.0}
+    assert float(meta.speeds(moment(meta, traffic__v0_pl_at=4.0, **own))["rss"]) == pytest.approx(0.0, abs=1e-6)
+    assert np.isinf(meta.speeds(moment(meta, traffic__v0_pl_at=2.0, **own))["rss"]) == (gap <= -2.0)
+    beside = {**there, "traffic__v0_left_lane": 1.0, "traffic__v0_lane_offset": -4.0, "traffic__v0_pl_at": 4.0}
+    assert not meta.permitted(moment(meta, **beside))[LEFT]
+
+
+def test_a_missing_level_of_a_vehicle_forbids_the_change_and_counts_40_m(meta: RuleBook) -> None:
+    there = {"traffic__v0_present": 1.0, "traffic__v0_length": 5.0, "traffic__v0_lane_offset": -4.0}
+    far = {**there, "traffic__v0_left_lane": 1.0, "traffic__v0_pl_at": 20.0}
+    for gap in (-140.0, 140.0):
+        assert meta.permitted(moment(meta, traffic__v0_lane_gap=gap, **far))[LEFT]
+        missing = moment(meta, traffic__v0_lane_gap=gap, traffic__v0_pl_exists=0.0, **far)
+        assert not meta.permitted(missing)[LEFT]
+        assert meta.project(missing, np.array(LEFT)).by["gap"]
+    own = {"traffic__v0_present": 1.0, "traffic__v0_length": 5.0, "traffic__v0_own_lane": 1.0}
+    ahead = {**own, "traffic__v0_lane_gap": 60.0, "traffic__v0_velocity_ahead": -5.0}
+    for level, room in ((20.0, 15.0), (40.0, 15.0)):
+        safe = float(meta.speeds(moment(meta, traffic__v0_pl_exists=0.0, traffic__v0_pl_at=level, **ahead))["rss"])
+        assert rss_m(safe, 5.0) == pytest.approx(room, abs=1e-3)
 
 
 def test_a_leader_bounds_target_speed_and_acceleration(meta: RuleBook, direct: RuleBook) -> None:
@@ -361,15 +399,25 @@ def test_wrong_environments_and_rules_are_refused() -> None:
         (lambda: SafetyLayer(open_env("LaneKeeping", {"observation": {"integrity": "clock"}})), "integrity.alert"),
         (lambda: SafetyLayer(open_env("Highway", {"observation": {"vehicles": 0}})), "vehicles must be > 0"),
         (lambda: SafetyLayer(open_env("LaneKeeping", {"observation": {"preview_m": []}})), "preview_m"),
-        (lambda: SafetyLayer(FlattenObservation(env)), "observation_space must be that of the environment itself"),
-        (lambda: SafetyLayer(RescaleAction(env, np.float32(-0.5), np.float32(0.5))), "action_space must be that"),
+        (lambda: SafetyLayer(FlattenObservation(env)), "FlattenObservation must be around SafetyLayer"),
+        (lambda: SafetyLayer(Spy(Falsified(env))), r"Falsified\(SafetyLayer\(env\)\)"),
+        (lambda: SafetyLayer(TransformAction(env, lambda a: -a, None)), "TransformAction must be around SafetyLayer"),
+        (lambda: SafetyLayer(FrameStackObservation(env, 2)), "observation_space must be that of the environment"),
+        (lambda: SafetyLayer(RescaleAction(env, np.float32(-0.5), np.float32(0.5))), "RescaleAction must be around"),
         (lambda: SafetyLayer(SafetyGymnasium(env)), "SafetyGymnasium must be around"),
+        (lambda: SafetyLayer(Spy(SafetyGymnasium(env))), "SafetyGymnasium must be around"),
         (lambda: SafetyLayer(gymnasium.make("CartPole-v1")), "env must be a single environment of lanebound"),
         (lambda: SafetyLayer(env, {"alrt": False}), "rules.alrt"),
         (lambda: SafetyLayer(env, {"least_share": 2.0}), "rules.least_share must lie in"),
         (lambda: SafetyLayer(env).step(env.action_space.sample()), "reset must come before step"),
         (lambda: VecSafetyLayer(DummyVecEnv([lambda: gymnasium.make("CartPole-v1")])), "venv must hold"),
         (lambda: make_agent("layer", env, {"over": "layer"}), "over must be another agent"),
+        (lambda: make_agent("layer+layer", env), "over must be another agent than layer, got layer"),
+        (lambda: make_agent("nominal+layer+layer", env), r"over must be another agent than layer, got nominal\+layer"),
+        (lambda: make_agent("cbf+layer", env), "over must have no memory of its commands, got cbf"),
+        (lambda: make_agent("layer", env, {"over": "mpc"}), "over must have no memory of its commands, got mpc"),
+        (lambda: refuse_early(agent="mpc+layer"), "over must have no memory of its commands, got mpc"),
+        (lambda: SuiteConfig.load({"envs": ["Merge"], "agents": ["cbf+layer"]}), "no memory of its commands, got cbf"),
     ]  # fmt: skip
     for make, message in cases:
         with pytest.raises((InputError, ConfigError), match=message):
@@ -394,7 +442,53 @@ def test_wrappers_of_observations_are_around_the_layer() -> None:
     ):
         with pytest.raises(InputError, match=message):
             VecSafetyLayer(inside)
+    early = VecSafetyLayer(venv)
+    with pytest.raises(InputError, match="reset must come before step"):
+        early.step(np.zeros((2, 2), dtype=np.float32))
     venv.close()
+    meta = VecSafetyLayer(EngineVecEnv("lanebound/Merge-v0", 2, flat))
+    with pytest.raises(InputError, match="reset must come before action_masks"):
+        meta.action_masks()
+    meta.close()
+
+
+def test_the_environment_that_is_asked_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    venv, closed = EngineVecEnv("lanebound/LaneKeeping-v0", 2, {**PERFECT, "observation": {"form": "flat"}}), []
+    monkeypatch.setattr(DrivingEnv, "close", lambda env: closed.append(env))
+    VecSafetyLayer(venv)
+    with pytest.raises(ConfigError):
+        VecSafetyLayer(venv, {"alrt": False})
+    assert len(closed) == 2
+    venv.close()
+
+
+@pytest.mark.parametrize("history", [1, 3])
+@pytest.mark.parametrize("name", ["Merge", "CarFollowing"])
+def test_single_equals_vector_over_ends_of_episodes(name: str, history: int) -> None:
+    config = {**PERFECT, "duration_s": 1.0, "observation": {"form": "flat", "history": history}}
+    vector = VecSafetyLayer(EngineVecEnv(f"lanebound/{name}-v0", 2, config))
+    one = VecSafetyLayer(DummyVecEnv([lambda: open_env(name, config)] * 2))
+    for envs in (vector, one):
+        envs.seed(1000)
+    many, alone = vector.reset(), one.reset()
+    vector.action_space.seed(2)
+    ends = changed = 0
+    for _ in range(30):
+        np.testing.assert_allclose(many, alone, atol=1e-5)
+        if name == "Merge":
+            assert np.array_equal(vector.action_masks(), one.action_masks())
+        actions = np.stack([vector.action_space.sample() for _ in range(2)])
+        many, _, over, infos = vector.step(actions)
+        alone, _, ended, others = one.step(actions)
+        assert np.array_equal(over, ended)
+        for info, other in zip(infos, others, strict=True):
+            assert info["intervened_by"] == other["intervened_by"]
+            assert info.get(INTERVENTIONS_KEY) == other.get(INTERVENTIONS_KEY)
+            changed += info["intervened"]
+        ends += int(over.sum())
+    assert ends >= 4
+    assert changed
+    vector.close()
 
 
 def test_it_is_copied_and_made_anew_with_its_rules() -> None:
@@ -433,6 +527,61 @@ def test_a_learnt_policy_is_judged_under_its_rules(tmp_path: Any) -> None:
     chosen = learnt_agent(experiment(shield="layer", rules={"bend": False}), tmp_path / "best.zip")
     assert chosen["agent"] == "layer"
     assert (chosen["figures"]["over"], chosen["figures"]["bend"]) == (str(tmp_path / "best.zip"), False)
+
+
+def test_a_checkpoint_drives_under_the_layer(tmp_path: Any) -> None:
+    config = {**PERFECT, "duration_s": 3.0, "observation": {"form": "flat"}}
+    learning = EngineVecEnv("lanebound/LaneKeeping-v0", 2, config)
+    model = PPO("MlpPolicy", learning, n_steps=16, batch_size=16, n_epochs=1, seed=1, device="cpu").learn(32)
+    learning.close()
+    with torch.no_grad():  # it steers hard to the right
+        model.policy.action_net.weight[:] = 0.0
+        model.policy.action_net.bias[:] = torch.tensor([0.0, 1.0])
+    model.save(tmp_path / "tiny.zip")
+    env = open_env("LaneKeeping", config)
+    free, bound = (make_agent(name, env) for name in (str(tmp_path / "tiny.zip"), f"{tmp_path / 'tiny.zip'}+layer"))
+    observation, _ = env.reset(seed=1)
+    for _ in range(10):
+        wanted, action = free.predict(observation)[0], bound.predict(observation)[0]
+        assert action[1] < wanted[1]
+        observation, *_ = env.step(action)
+    assert bound.counts["intervened"] == bound.counts["decisions"] == 10
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rules": {"gap": False}}, "rules must be left out for shield none"),
+        ({"rules": {"gap": False}, "shield": "cbf"}, "rules must be left out for shield cbf"),
+        *(
+            (
+                {"shield": "layer", "overrides": {"observation": {"integrity": shown}}},
+                "overrides.observation.integrity must be",
+            )
+            for shown in ("blind", "clock", "oracle")
+        ),
+    ],
+)
+def test_experiments_that_the_layer_cannot_bind_are_refused_when_loaded(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        experiment(**changes)
+    experiment(rules={})
+    experiment(shield="layer", rules={"gap": False}, overrides={"observation": {"integrity": "full"}})
+
+
+def test_a_driver_that_is_imitated_under_the_layer_teaches_what_is_carried_out() -> None:
+    changes: dict[str, Any] = {"env": "Merge", "overrides": {"sky": "dense"}, "shield": "layer", "sky": "dense"}
+    config = experiment(**changes, imitation={"driver": "nominal", "rounds": 1, "decisions": 8, "epochs": 1})
+    teacher = teacher_of(config)
+    assert teacher is not None
+    with closing(for_learning(teacher.experiment, 1)) as env:
+        observations, changed = env.reset(), 0
+        for _ in range(20):
+            wanted, _ = teacher.driver.predict(observations)
+            observations, _, _, infos = env.step(wanted)
+            changed += sum(info["shielded"] for info in infos)
+    assert changed == 0
+    assert teacher.driver.counts["intervened"] > 0
 
 
 def test_a_driver_with_the_layer_has_a_name_of_its_own() -> None:
