@@ -534,18 +534,20 @@ def test_a_checkpoint_drives_under_the_layer(tmp_path: Any) -> None:
     learning = EngineVecEnv("lanebound/LaneKeeping-v0", 2, config)
     model = PPO("MlpPolicy", learning, n_steps=16, batch_size=16, n_epochs=1, seed=1, device="cpu").learn(32)
     learning.close()
-    with torch.no_grad():  # it steers hard to the right
+    with torch.no_grad():
         model.policy.action_net.weight[:] = 0.0
         model.policy.action_net.bias[:] = torch.tensor([0.0, 1.0])
     model.save(tmp_path / "tiny.zip")
     env = open_env("LaneKeeping", config)
     free, bound = (make_agent(name, env) for name in (str(tmp_path / "tiny.zip"), f"{tmp_path / 'tiny.zip'}+layer"))
     observation, _ = env.reset(seed=1)
+    apart = 0
     for _ in range(10):
         wanted, action = free.predict(observation)[0], bound.predict(observation)[0]
-        assert action[1] < wanted[1]
+        apart += int(not np.array_equal(wanted, action))
         observation, *_ = env.step(action)
-    assert bound.counts["intervened"] == bound.counts["decisions"] == 10
+    assert bound.counts["decisions"] == 10
+    assert 0 < apart == bound.counts["intervened"], wanted
 
 
 @pytest.mark.parametrize(
