@@ -77,7 +77,7 @@ def _panel(axes: Axes, record: Record, axis: Axis, al: float, top: float, counte
     note = f"{zones.total:,} {counted}, darker where more" + (
         f"; {beyond:,} beyond the scale at its edge" if beyond else ""
     )
-    axes.set_title(f"{AXIS_NAMES[axis]}, alert limit {al:g} m\n{note}", fontsize=9, color=INK, loc="left")
+    axes.set_title(f"{AXIS_NAMES[axis]}, alert limit {al:.3g} m\n{note}", fontsize=9, color=INK, loc="left")
     tidy(axes, xlabel="absolute position error (m)", ylabel="protection level (m)")
     axes.grid(False)
     axes.set(xlim=(0, top), ylim=(0, top), box_aspect=1.0)
