@@ -133,7 +133,7 @@ them:
 ## Alert limits
 
 `alert_limit: fixed` (default) has one limit for the whole id: 1.5 m along, half of lane less car across. Body in bends,
-the car's own control and the gap have no part of it, and errors just below it harm in six of seven ids
+the car's own control and the gap have no part of it, and errors just below it harm in seven of eight ids
 ([alert limits](results/alert-limits.md)). `alert_limit: budget` computes both limits at each decision from what is
 left: across from the lane, the turned body, the believed offset and bends; along from bends, crossings and the gap to a
 leader by radio. Observations (`margin_*`, `ratio_*`, `al_*`) and `info` have them. An alert of theirs is held for 1 s.
