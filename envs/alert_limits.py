@@ -29,7 +29,7 @@ class BudgetConfig(Config):
     tracking_m: float = Field(
         0.1,
         ge=0,
-        description="how far the car's own control may leave the middle of the lane; measured, docs/limits.md",
+        description="how far the car's own control may leave the middle of the lane; 99 % of nominal in LaneKeeping",
     )
     bend_share: float = Field(
         0.25, ge=0, lt=1, description="share of the room across that an error along may take in bends [-]; chosen"

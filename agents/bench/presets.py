@@ -1,13 +1,13 @@
 """Speed of each id as it is shipped: policy steps a second of the vector engine, against single environments.
 
-Resets count on both sides; actions are random. One process drives the engine, on all its threads.
+Resets count on both sides; actions are random.
 """
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Callable
-from contextlib import ExitStack, closing
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,8 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from lanebound.agents.bench.engine import SEED, engine_side
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
-from lanebound.agents.learning.others import silence
 from lanebound.envs.ids import Preset, has_engine, presets
+from lanebound.envs.vector.engine import Engine
 
 __all__ = ["measure"]
 
@@ -60,14 +60,12 @@ def measure(rounds: int = 5) -> list[Row]:
 
 
 def _of_id(kind: type[Preset], rounds: int) -> list[Row]:
-    with ExitStack() as opened:
-        step, ours = engine_side(kind, COUNT, {})
-        opened.enter_context(closing(ours))
-        sides, name = {"engine": step, "single": _single_side(kind)}, kind.__name__
-        if not silence(kind()):
-            sides["surrogate"], others = engine_side(kind, COUNT, SURROGATE)
-            opened.enter_context(closing(others))
-        envs = opened.enter_context(closing(SubprocVecEnv([kind] * 2, start_method="spawn")))
+    step, ours = engine_side(kind, COUNT, {})
+    sides, name = {"engine": step, "single": _single_side(kind)}, kind.__name__
+    assert isinstance(ours.engine, Engine)
+    if ours.engine.episodes.perception.has_radio:
+        sides["surrogate"] = engine_side(kind, COUNT, SURROGATE)[0]
+    with closing(SubprocVecEnv([kind] * 2, start_method="spawn")) as envs:
         rates = alternate({**sides, "subproc": _subproc_side(kind, envs)}, rounds, 1.0)
     rows = [
         Row(f"preset_{name}_steps_per_s", statistics.median(rates["engine"]), "1/s", 10_000.0, 20_000.0),

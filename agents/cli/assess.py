@@ -239,7 +239,7 @@ def limits(
         list[str] | None,
         typer.Option("--env", metavar="ID", help="This id alone; may be repeated. All eight otherwise."),
     ] = None,
-    seeds: Annotated[int | None, typer.Option(min=2, help="Episodes under each error; the study has 24.")] = None,
+    seeds: Annotated[int | None, typer.Option(min=2, help="Episodes under each error; the study has 32.")] = None,
     page: Annotated[Path | None, typer.Option(metavar="FILE.md", help="Page whose tables are written anew.")] = None,
     jobs: Jobs = 1,
     assignments: Assignments = None,
@@ -249,9 +249,9 @@ def limits(
 
     Example: lanebound assess limits --out out/limits --env LaneKeeping --seeds 8
     """
-    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.output import show_study
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.report.pages import fill, require_page
+    from lanebound.agents.report.pages import require_page
     from lanebound.agents.studies.alert_limits import SECTIONS, AlertLimitsConfig, assess_alert_limits, tables
 
     if page is not None:
@@ -259,14 +259,7 @@ def limits(
     config = AlertLimitsConfig.load(changes(assignments, envs=env, seeds=seeds))
     with resumable(lambda: kept_text(out, "parts/*.json", "id")):
         found = with_bar("ids", lambda on_progress: assess_alert_limits(config, out, jobs, on_progress))
-    if page is not None:
-        fill(page, tables(found))
-    if as_json:
-        print_json(found)
-        return
-    for title, (heads, rows) in tables(found).items():
-        print_table(title, heads, rows)
-    typer.echo(f"results.json: {out}")
+    show_study(found, tables(found), out, page, as_json)
 
 
 def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: bool) -> None:

@@ -79,9 +79,9 @@ def _refuse_without_scale(quick: bool, page: Path | None) -> None:
 
 
 def _scale(out: Path, quick: bool, page: Path | None, only: list[str] | None, as_json: bool) -> None:
-    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.output import show_study
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.report.pages import fill, require_page
+    from lanebound.agents.report.pages import require_page
     from lanebound.agents.studies.scale import SECTIONS, run_scale, tables
     from lanebound.integrity.core.errors import InputError
 
@@ -93,12 +93,4 @@ def _scale(out: Path, quick: bool, page: Path | None, only: list[str] | None, as
         require_page(page, SECTIONS)
     with resumable(lambda: kept_text(out, "parts/*.json", "point")):
         result = with_bar("seconds of work", lambda on_progress: run_scale(out, quick, on_progress))
-    if page is not None:
-        fill(page, tables(result))
-    if as_json:
-        print_json(result)
-        return
-    for title, (heads, rows) in tables(result).items():
-        if rows:  # the few points of --quick make no plan
-            print_table(title, heads, rows)
-    typer.echo(f"results.json: {out}")
+    show_study(result, tables(result), out, page, as_json)

@@ -31,9 +31,9 @@ def curves(
 
     Example: lanebound curves --out out/curves --env LaneKeeping --minutes 1
     """
-    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.output import show_study
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.report.pages import fill, require_page
+    from lanebound.agents.report.pages import require_page
     from lanebound.agents.studies.curves import SECTIONS, CurvesConfig, run_curves, save_curves, tables
 
     if page is not None:
@@ -42,11 +42,6 @@ def curves(
     with resumable(lambda: f"{kept_text(out, 'parts/*.json', 'id')}; trainings go on from their last checkpoint"):
         found = with_bar("ids", lambda on_progress: run_curves(config, out, on_progress))
         figure = save_curves(found, out if page is None else page.parent)
-    if page is not None:
-        fill(page, tables(found))
-    if as_json:
-        print_json(found)
-        return
-    for title, (heads, rows) in tables(found).items():
-        print_table(title, heads, rows)
-    typer.echo(f"results.json: {out}\npicture: {figure}")
+    show_study(found, tables(found), out, page, as_json)
+    if not as_json:
+        typer.echo(f"picture: {figure}")

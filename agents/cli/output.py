@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Literal
 
 from lanebound.agents.serialization import counted
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
-__all__ = ["counted", "format_value", "open_console", "print_json", "print_table"]
+    from lanebound.agents.report.pages import Table
+
+__all__ = ["counted", "format_value", "open_console", "print_json", "print_table", "show_study"]
 
 WIDTH_OF_A_FILE = 100  # characters, where COLUMNS gives no other
 NARROW = 12  # characters of a column, at which text can still be read
@@ -97,6 +101,23 @@ def _fitted(least: Sequence[int], most: Sequence[int], columns: Sequence[str], r
             break
         fitted[min(short, key=lambda i: fitted[i] / most[i])] += 1
     return fitted
+
+
+def show_study(found: Any, tables: Mapping[str, Table], out: Path, page: Path | None, as_json: bool) -> None:
+    """Write the tables of a study into its page if there is one, and print them, or its data, and where these are."""
+    import typer
+
+    from lanebound.agents.report.pages import fill
+
+    if page is not None:
+        fill(page, tables)
+    if as_json:
+        print_json(found)
+        return
+    for title, (heads, rows) in tables.items():
+        if rows:  # a short run may leave a table empty
+            print_table(title, heads, rows)
+    typer.echo(f"results.json: {out}")
 
 
 def print_json(data: Any) -> None:

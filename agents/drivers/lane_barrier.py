@@ -105,7 +105,7 @@ class LaneBarrier:
         ``q = e + v t psi``, the offset after the preview t, stays within ``M = (w - W) / 2 - PL_CT``:
         ``-gamma M + (1 - gamma) q <= q(next) <= gamma M + (1 - gamma) q``, ``q(next) = q + v T psi + G beta``,
         ``G = v T + (v T)^2 / L + 2 T v^2 t / L``. e follows q as a lag of first order, so that it stays there too, and
-        one steering angle determines q. All this is of the belief, see the head of this file. Where M is below a floor
+        one steering angle determines q. All this is of the belief, see :mod:`.barrier`. Where M is below a floor
         the car may be outside of its lane already: the floor takes its place, which keeps the departure smallest.
 
         ``left`` and ``right`` (...) open the lanes beside: M is larger by w on that side.

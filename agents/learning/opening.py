@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import current_process
 from typing import Any
@@ -22,6 +21,7 @@ from lanebound.agents.safety_layer import VecSafetyLayer
 from lanebound.agents.vec_env import EngineVecEnv, engine_of
 from lanebound.envs.vector.env import engines
 from lanebound.envs.wrappers import EpisodeStatistics
+from lanebound.integrity.core.accel import LOGGER
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import named_generator
 
@@ -96,9 +96,12 @@ def _divided(name: str, count: int, config: Mapping[str, Any], processes: int | 
         return EngineVecEnv(name, count, config, statistics=True, processes=min(processes, count))
     parts = 1 if current_process().daemon else max(1, min(available_cores(), count // LEAST))
     if parts > 1:
-        # What a process alone cannot have, such as plug-ins of a notebook, drives in this one.
-        with suppress(InputError, RuntimeError):
+        try:
             return EngineVecEnv(name, count, config, statistics=True, processes=parts)
+        except (InputError, RuntimeError) as error:  # such as plug-ins of a notebook, which other processes lack
+            env = EngineVecEnv(name, count, config, statistics=True)  # raises what this process refuses as well
+            LOGGER.warning("lanebound: environments are in one process, as %d processes failed: %s", parts, error)
+            return env
     return EngineVecEnv(name, count, config, statistics=True)
 
 

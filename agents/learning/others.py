@@ -14,7 +14,7 @@ from lanebound.envs.core import DrivingEnv
 from lanebound.envs.vector.support import newcomers_of, require_supported, support_of
 from lanebound.integrity.core.errors import ConfigError
 
-__all__ = ["Chosen", "choose_others", "silence"]
+__all__ = ["Chosen", "choose_others"]
 
 
 class Chosen(NamedTuple):
@@ -43,7 +43,7 @@ def choose_others(experiment: ExperimentConfig) -> Chosen:
             "follow overrides, training follows others)"
         )
     with closing(experiment.open()) as single:
-        silent = silence(single)
+        silent = _silence(single)
     if silent:
         if asked is not None:
             raise ConfigError(f"others must be left out where nobody broadcasts ({silent}), got {asked}: leave it out")
@@ -68,7 +68,7 @@ def _chosen(experiment: ExperimentConfig, others: Others, why: str) -> Chosen:
     return Chosen(experiment.replace(others=others), f"other vehicles in training: {others} ({why})")
 
 
-def silence(single: DrivingEnv) -> str:
+def _silence(single: DrivingEnv) -> str:
     """Why no other vehicle broadcasts; "" where one may."""
     config = single.config
     if not config.perception.has_radio:

@@ -71,7 +71,7 @@ class AlertLimitsConfig(Config):
     driver: str = Field("nominal", description="a driver that ignores alerts")
     below: float = Field(0.95, gt=0, description="smaller error over the smallest limit [-]")
     above: float = Field(1.5, gt=0, description="larger error over the median limit [-]")
-    seeds: int = Field(48, ge=2, le=1000, description="episodes under each error, of training seeds")
+    seeds: int = Field(32, ge=2, le=1000, description="episodes under each error, of training seeds")
 
     @field_validator("envs")
     @classmethod

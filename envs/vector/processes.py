@@ -125,7 +125,7 @@ class EngineProcesses:
         processes: int,
         initialize: Callable[[], object] | None = None,
     ) -> None:
-        self.single, self.count, self.codes = single, count, meta_codes(single)
+        self.count, self.codes = count, meta_codes(single)
         names, entries = [entry.name for entry in info_entries()], [entry.column for entry in single.observer.index]
         sizes = count, len(entries), len(names)
         memory = SPAWN.RawArray("b", _Board.size(*sizes))
@@ -169,7 +169,9 @@ class EngineProcesses:
             The last step was interrupted, and not all environments have been reset since.
         """
         if self._torn:
-            raise InputError("reset must come first, got step() after an interrupted one: reset all environments")
+            raise InputError(
+                "reset must come first, got step() after one that was interrupted or failed: reset all environments"
+            )
         where = np.arange(self.count) if rows is None else rows
         parts = [(w, where[p]) for w, p in self._places(where)]
         self._torn = True  # until all have answered

@@ -137,7 +137,9 @@ def test_an_interrupted_step_demands_a_reset_and_its_answer_is_left_aside(pair: 
         two.step(action)
     for worker in engine._workers:
         os.kill(worker.process.pid or 0, signal.SIGCONT)
-    with pytest.raises(InputError, match="reset must come first, got step\\(\\) after an interrupted one"):
+    with pytest.raises(
+        InputError, match="reset must come first, got step\\(\\) after one that was interrupted or failed"
+    ):
         two.step(action)
     equal(one.reset(seed=6), two.reset(seed=6))
     equal(one.step(action), two.step(action))
