@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import initializers
 import numpy as np
 import pytest
 
 from lanebound.envs import wrap_vec
 from lanebound.envs.ids import presets
 from lanebound.envs.ids.streets import LaneKeeping
-from lanebound.envs.info import InfoEntry, register_info
 from lanebound.envs.vector.env import VectorDrivingEnv, engine_class
 from lanebound.envs.vector.processes import EngineProcesses
 from lanebound.integrity.core.errors import InputError
@@ -169,44 +169,21 @@ def test_the_death_of_a_process_is_told() -> None:
     assert not any(worker.process.is_alive() for worker in engine._workers)
 
 
-def set_variable(name: str) -> None:
-    os.environ[name] = "1"
-
-
-def fail() -> None:
-    raise InputError("no plug-in")
-
-
 def test_initialize_runs_first_in_each_process() -> None:
     with pytest.raises(InputError, match="no plug-in"):
-        make(2, initialize=fail)
-    with closing(make(2, initialize=partial(set_variable, "LANEBOUND_TEST"))) as envs:
+        make(2, initialize=initializers.fail)
+    with closing(make(2, initialize=partial(initializers.set_variable, "LANEBOUND_TEST"))) as envs:
         assert envs.num_envs == COUNT
     assert "LANEBOUND_TEST" not in os.environ
     with pytest.raises(InputError, match="processes must be 1 here, got 2: the configuration cannot be given"):
         make(2, initialize=lambda: None)
 
 
-class TwoArgumentsError(Exception):
-    """It can be pickled, and not be read again."""
-
-    def __init__(self, first: str, second: str) -> None:
-        super().__init__(first)
-
-
-def fail_oddly() -> None:
-    raise TwoArgumentsError("odd", "error")
-
-
-def register_late() -> None:
-    register_info(InfoEntry("late_m", "level [m]", lambda observed: observed.belief["pl_at_m"]))
-
-
 def test_what_a_process_raises_or_has_registered_otherwise_is_told() -> None:
     with pytest.raises(RuntimeError, match="TwoArgumentsError: odd"):
-        make(2, initialize=fail_oddly)
+        make(2, initialize=initializers.fail_oddly)
     with pytest.raises(InputError, match=r"other entries of info than this process, got 'late_m'"):
-        make(2, initialize=register_late)
+        make(2, initialize=initializers.register_late)
 
 
 def test_gymnasium_and_the_command_line_divide_environments_too() -> None:
@@ -240,18 +217,8 @@ def test_numbers_of_processes_that_do_not_exist_are_refused(processes: Any) -> N
         make(processes)
 
 
-def daemonic(answers: Any) -> None:
-    try:
-        make(2).close()
-        answers.put("nothing was refused")
-    except InputError as error:
-        answers.put(str(error))
-
-
-def test_worker_processes_have_none_of_their_own() -> None:
-    spawn = multiprocessing.get_context("spawn")
-    answers = spawn.SimpleQueue()
-    process = spawn.Process(target=daemonic, args=(answers,), daemon=True)
-    process.start()
-    assert answers.get() == "processes must be 1 in a worker process, which cannot have its own, got 2: give 1"
-    process.join()
+def test_worker_processes_have_none_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
+    with pytest.raises(InputError) as refused:
+        make(2)
+    assert str(refused.value) == ("processes must be 1 in a worker process, which cannot have its own, got 2: give 1")
