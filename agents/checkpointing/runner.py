@@ -44,6 +44,7 @@ class RunProgress:
     stage: str = ""
 
 
+KNOWN_SHARE = 0.003
 OnProgress = Callable[[RunProgress], None]
 
 
@@ -54,6 +55,9 @@ def ignore(progress: Any) -> None:
 class Counter:
     """Turns counts into progress, and estimates the time left by the pace since the first count.
 
+    Later seconds count more, by the square of the time before: a run may begin with work that advances it little, such
+    as imitation before learning. Nothing is estimated before KNOWN_SHARE of the rest is done.
+
     Parameters
     ----------
     on_progress : called at every count
@@ -62,18 +66,25 @@ class Counter:
 
     def __init__(self, on_progress: OnProgress, progress: RunProgress) -> None:
         self.on_progress, self.progress = on_progress, progress
-        self._before = math.nan  # done at the first count
-        self._spent_s, self._then = 0.0, time.monotonic()
+        self._first = math.nan  # done at the first count
+        self._spent_s, self._waited_s, self._then = 0.0, 0.0, time.monotonic()
+        self._made, self._took_s = 0.0, 0.0  # weighted
 
     def __call__(self, done: float) -> None:
         now, p = time.monotonic(), self.progress
-        if math.isnan(self._before):
-            self._before = done
+        if math.isnan(self._first):
+            self._first = done
         elif not p.compiling:
-            self._spent_s += now - self._then
+            self._waited_s += now - self._then
+        if done > p.done and self._waited_s > 0.0:
+            self._spent_s += self._waited_s
+            weight = self._spent_s**2
+            self._made += weight * (done - p.done)
+            self._took_s += weight * self._waited_s
+            self._waited_s = 0.0
         self._then, p.done = now, done
-        made = done - self._before
-        p.left_s = self._spent_s / made * (p.of - done) if made > 0.0 else None
+        known = self._made > 0.0 and done - self._first >= KNOWN_SHARE * (p.of - self._first)
+        p.left_s = self._took_s / self._made * (p.of - done) if known else None
         self.on_progress(p)
 
 

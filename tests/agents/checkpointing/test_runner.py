@@ -99,6 +99,23 @@ def test_the_time_left_follows_the_pace_without_earlier_parts_and_compilation(mo
     assert left == [None, None, 10.0 * 9, 30.0 / 3 * 7, 0.0]
 
 
+def test_the_time_left_recovers_from_a_slow_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A minute that does next to nothing, then one part a second: the mean pace tells 110 s at half of them."""
+    now = [0.0]
+    monkeypatch.setattr("lanebound.agents.checkpointing.runner.time.monotonic", lambda: now[0])
+    left: list[float | None] = []
+    counter = Counter(lambda progress: left.append(progress.left_s), RunProgress(of=100))
+    counter(0.0)
+    now[0] = 60.0
+    counter(0.2)
+    for second in range(1, 51):
+        now[0] = 60.0 + second
+        counter(float(second))
+    assert left[:2] == [None, None]
+    assert left[-1] is not None
+    assert 50.0 <= left[-1] < 80.0, left[-1]
+
+
 def test_isolated_work_never_runs_in_this_process() -> None:
     counter = Counter(lambda progress: None, RunProgress(of=1))
     ((part, result),) = run_work(["die"], Squares(), 1, counter, isolated=True)
