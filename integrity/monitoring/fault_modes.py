@@ -89,8 +89,8 @@ def enumerate_faults(
             break
         for together in combinations(events, size):
             _add(found, np.asarray(touches[list(together)].any(0)), float(np.prod(chance[list(together)])))
-        if len(found) > MOST_MODES:
-            raise InputError(f"at_once must give at most {MOST_MODES} modes, got {len(found)}: lower it from {at_once}")
+            if len(found) > MOST_MODES:
+                raise InputError(f"at_once must give at most {MOST_MODES} modes, got more: lower it from {at_once}")
         unmonitored = _beyond(chance[events], size)
     removes = np.array([mode for mode, _ in found.values()], dtype=bool).reshape(-1, owner.size)
     return FaultModes(removes, np.array([prior for _, prior in found.values()]), unmonitored)

@@ -60,7 +60,8 @@ def _apart(config: ExperimentConfig, model: PPO) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(
-    ("env", "driver", "epochs", "share"), [("LaneKeeping", "nominal", 12, 0.4), ("Highway", "integrity_aware", 60, 0.8)]
+    ("env", "driver", "epochs", "share"),
+    [("LaneKeeping", "nominal", 12, 0.4), pytest.param("Highway", "integrity_aware", 60, 0.8, marks=pytest.mark.slow)],
 )
 def test_the_policy_comes_to_do_what_the_driver_does(env: str, driver: str, epochs: int, share: float) -> None:
     overrides: dict[str, Any] = {"navigation": {"source": "perfect"}}

@@ -26,6 +26,7 @@ SETTINGS: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 def test_it_comes_to_the_limit_where_plain_sac_takes_all_there_is(toll: Any) -> None:
     torch.set_num_threads(1)
     plain = SAC("MlpPolicy", make_vec_env(toll, 1, seed=1), **SETTINGS).learn(1500)

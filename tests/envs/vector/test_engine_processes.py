@@ -87,7 +87,11 @@ def test_refusals_come_from_the_process_and_the_next_call_works(pair: Pair) -> N
         two.step(np.where(np.arange(COUNT)[:, None] == 3, 99.0, np.zeros(two.action_space.shape)))
 
 
-@pytest.mark.parametrize("name", sorted(kind.__name__ for kind in presets()))
+IDS = sorted(kind.__name__ for kind in presets())
+SOON = "Highway", "Intersection", "UrbanCanyon"  # traffic, vehicles that come and go, a street
+
+
+@pytest.mark.parametrize("name", [pytest.param(id_, marks=() if id_ in SOON else pytest.mark.slow) for id_ in IDS])
 def test_every_id_drives_in_several_processes_as_in_one(name: str) -> None:
     """Intersection is one whose drivers highway-env changes when it makes a world."""
     kind = next(kind for kind in presets() if kind.__name__ == name)

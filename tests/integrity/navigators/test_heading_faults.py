@@ -25,7 +25,7 @@ def _drift(system: System, mps: float, prn: int | None = None) -> FaultSchedule:
     return FaultSchedule((fault,))
 
 
-DRIFTS = [(System.GALILEO, 0.4), (System.GPS, 0.15)]
+DRIFTS = [(System.GALILEO, 0.4)]
 DRIFTS += [
     pytest.param(system, mps, marks=pytest.mark.slow)
     for system in (System.GALILEO, System.GPS, System.BEIDOU)

@@ -89,7 +89,7 @@ def _creeping(mps: float, length_s: float, lock: float) -> Drive:
     return drive(config, rates, OPEN_S, VEHICLES, axle_m=2.5, from_s=OPEN_S, speed_mps=speeds)
 
 
-@pytest.mark.parametrize("mps", [-0.45, pytest.param(0.45, marks=pytest.mark.slow), 0.25])
+@pytest.mark.parametrize("mps", [-0.45, *(pytest.param(mps, marks=pytest.mark.slow) for mps in (0.45, 0.25))])
 def test_levels_hold_for_one_that_creeps_at_full_lock(mps: float) -> None:
     """Its middle, 2.5 m ahead of the rear axle, moves sideways more than half as fast as forward."""
     run = _creeping(mps, 12.0, FULL_LOCK)
@@ -99,6 +99,7 @@ def test_levels_hold_for_one_that_creeps_at_full_lock(mps: float) -> None:
     assert max(beyond) <= allowed(VEHICLES, RISK, times=len(times)), beyond
 
 
+@pytest.mark.slow
 def test_levels_hold_for_one_that_creeps_straight() -> None:
     """An error of the yaw rate then moves the middle sideways as well."""
     run = _creeping(0.25, 30.0, 0.0)
