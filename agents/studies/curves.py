@@ -168,9 +168,12 @@ def _learn(config: CurvesConfig, out: Path, env: str, advance: Advance) -> dict[
         return {**means, "learning_s": learning_s, "judging_s": spent - begun}
 
     with one_thread():
+        shown = planned.imitation.total(COUNT) if planned.imitation is not None else 1
         checkpoints = train(
-            planned, out / "trainings" / env, judge=judge, stepped=lambda steps: advance(0.8 * steps / planned.steps)
-        )
+            planned, out / "trainings" / env, judge=judge,
+            imitated=lambda decisions: advance(0.1 * decisions / shown),
+            stepped=lambda steps: advance(0.1 + 0.7 * steps / planned.steps),
+        )  # fmt: skip
         model = load_model(out / "trainings" / env / "last.zip", planned.algorithm)
         rest = config.held_out(config.final_seeds)
         with closing(planned.open()) as single:
