@@ -72,11 +72,11 @@ TOPICS = """## Sky
 | `dense` | five to nine storeys, trees, overpasses | 30 s | 42 to 52 % |
 | `plaza` | glass towers, far apart, beside wide streets | 15 s | 20 to 65 % |
 
-Half of the missing RTK comes from buildings, half from the link; under `plaza` more from buildings (4 cities each).
-UrbanCanyon has its own sequence of streets; the preset sets their heights. A `.yaml` file of your own may start with
-`extends: skies/urban`. A recorded sky is a `.csv` file of `lanebound record-sky`; it has the link and the sensors of
-`urban`. `navigator: {gnss: {near_objects: {kind: vehicle}}}` adds multipath of the car's roof and of what is beside it
-([signals](results/signals.md#near-objects)).
+Half of the missing RTK comes from buildings, half from the link; under `plaza` more from buildings (4 cities each,
+`tests/envs/test_sky_levels.py`). UrbanCanyon has its own sequence of streets; the preset sets their heights. A `.yaml`
+file of your own may start with `extends: skies/urban`. A recorded sky is a `.csv` file of `lanebound record-sky`, with
+the link and the sensors of `urban`. `navigator: {gnss: {near_objects: {kind: vehicle}}}` adds multipath of the car's
+roof and of what is beside it ([signals](results/signals.md#near-objects)).
 
 ## Perception
 
@@ -160,7 +160,7 @@ Racetrack agrees within 1e-12). The compiled dynamics round differently from hig
 decisions exactly. The rounding can grow until the rest of the episode differs: where a vehicle steers by highway-env's
 law below 0.5 m/s, two vehicles crash in line, or two lanes overlap (one bend of Racetrack). This happened in 37 of 844
 episodes with random commands in dense traffic: 15 of 60 in Intersection, 10 of 80 in Roundabout, 8 of 213 in
-UrbanCanyon.
+UrbanCanyon (`.venv/bin/python tests/helpers/parted.py` prints all cases).
 
 ## Other worlds
 
