@@ -153,10 +153,10 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
     lines = [
         f"# {study.title[:1].upper()}{study.title[1:]}",
         "",
-        f"Results of {len(trainings)} trainings, each evaluated on {study.test_seeds} held-out episodes ({episodes} in",
-        f"all). `configs/studies/{name}.yaml` defines them; [results](results/learning-study.md) states hypotheses and",
-        f"conclusions, `{name}.json` has every episode. This page, and the table there, are made by",
-        f"`python -m lanebound.agents.studies.learning_page docs/{name}.json docs`.",
+        f"{len(trainings)} trainings (`configs/studies/{name}.yaml`), each evaluated on {study.test_seeds} held-out"
+        f" episodes ({episodes} in all).",
+        f"Hypotheses and conclusions: [results](results/learning-study.md). `{name}.json` has every episode.",
+        f"`python -m lanebound.agents.studies.learning_page docs/{name}.json docs` makes this page.",
         "",
         "- Values are means over trainings; intervals are 95 %, of Student's distribution.",
         "- A training keeps the limit if the mean cost of its episodes is at most `cost_limit`.",
@@ -171,8 +171,8 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
         "",
         _kept(kept),
         "",
-        "Pairs of trainings (same place and seed) in which the row has a higher return than the column; in brackets",
-        "places in which its mean return is higher. These comparisons are not tested:",
+        "Pairs of trainings (same place and seed) in which the row has a higher return than the column, in brackets",
+        "places in which its mean return is higher (not tested):",
         "",
         _higher(study, trainings),
     ]
@@ -213,9 +213,10 @@ def _higher(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]) 
 
     def cell(arm: str, other: str) -> str:
         above, pairs, places, of = higher(trainings, arm, other)
-        return f"{above}/{pairs} ({places}/{of})" if pairs and arm != other else ""
+        return f"{above}/{pairs} ({places}/{of})" if pairs else ""
 
-    return text_of(("", *(f"`{arm}`" for arm in arms)), [(f"`{a}`", *(cell(a, b) for b in arms)) for a in arms])
+    rows = [(f"`{a}`", *(cell(a, b) if n > m else "" for n, b in enumerate(arms))) for m, a in enumerate(arms[:-1])]
+    return text_of(("", *(f"`{arm}`" for arm in arms)), rows)
 
 
 def _harm(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) -> str:

@@ -208,35 +208,32 @@ def _rows_of(result: Mapping[str, Any], table: str) -> dict[str, list[dict[str, 
 
 
 def _table(result: Mapping[str, Any], table: str) -> Table:
-    """Times and memory of an environment for each point, and the lines through those of all environments together.
+    """Times and memory of an environment for each point, and the lines with the largest deviation of a point.
 
     Where environments are counted, the lines are of all together; else of one environment.
     """
     whole = table == "environments"
-    heads = ("", table, "step [us]", "reset [ms]", "memory [KiB]", "memory, all [MB]", "off the line: step, memory")
     rows = []
     for what, found in _rows_of(result, table).items():
-        x = [point["value"] for point in found]
-        steps, memory = ([_value(point, key, whole) for point in found] for key in ("step_s", "held"))
-        lines = [fit(x, y) for y in (steps, memory)] if len(x) > 2 else []
-        for n, point in enumerate(found):
+        for point in found:
             count = point["envs"]
-            off = [values[n] / (line.fixed + line.each * x[n]) - 1.0
-                   for values, line in zip((steps, memory), lines, strict=False)]  # fmt: skip
             rows.append((
                 what, f"{point['value']:,.0f}", f"{1e6 * point['step_s'] / count:,.0f}",
                 f"{1e3 * point['reset_s'] / count:.2f}", f"{point['held'] / count / 1024.0:,.0f}",
-                f"{point['held'] / 1e6:,.0f}", ", ".join(f"{100.0 * o:+.0f} %" for o in off),
             ))  # fmt: skip
-        if lines:
-            of = "all" if whole else "one"
-            of_step, of_memory = lines
+        if len(found) > 2:
+            x = [point["value"] for point in found]
+            step, memory = (fit(x, [_value(point, key, whole) for point in found]) for key in ("step_s", "held"))
             rows.append((
-                f"**line, {what}**", of, f"{1e6 * of_step.fixed:,.0f} + {1e6 * of_step.each:.3g} x", "",
-                f"{of_memory.fixed / 1024.0:,.0f} + {of_memory.each / 1024.0:.3g} x", "",
-                ", ".join(f"{100.0 * line.worst:+.0f} % at {line.where:,.0f}" for line in lines),
+                f"**line, {what}**", "all" if whole else "one",
+                f"{1e6 * step.fixed:,.0f} + {1e6 * step.each:.3g} x ({_worst(step)})", "",
+                f"{memory.fixed / 1024.0:,.0f} + {memory.each / 1024.0:.3g} x ({_worst(memory)})",
             ))  # fmt: skip
-    return heads, rows
+    return ("", table, "step [us]", "reset [ms]", "memory [KiB]"), rows
+
+
+def _worst(line: Line) -> str:
+    return f"{100.0 * line.worst:+.0f} % at {line.where:,.0f}"
 
 
 def _value(point: Mapping[str, Any], key: str, whole: bool) -> float:
