@@ -80,7 +80,7 @@ def test_pages_are_written_of_what_is_there(tmp_path: Path) -> None:
     source.write_text(json.dumps(rows), encoding="utf-8")
     table = write_page(source, tmp_path)
     page = (tmp_path / f"{NAME}.md").read_text(encoding="utf-8")
-    assert "of 5 trainings" in page
+    assert "5 trainings (" in page
     assert "| LaneKeeping, urban | 14±0 at 14±0 (2) |" in table
     assert "| `taught` - `lagrangian` | LaneKeeping, urban | 26 [26, 26]" in page
     assert (tmp_path / "value_of_integrity-curves-1.png").stat().st_size > 1000
