@@ -111,7 +111,9 @@ def _value(value: object) -> str:
 
 
 def _metrics() -> str:
-    rows = [(metric.key, (_united(f"{ARROWS[metric.better]} {metric.meaning}".strip(), metric.unit),)) for metric in METRICS]
+    rows = [
+        (metric.key, (_united(f"{ARROWS[metric.better]} {metric.meaning}".strip(), metric.unit),)) for metric in METRICS
+    ]
     return "\n".join(["| key | meaning |", "|---|---|", *_merged(rows)])
 
 
