@@ -106,6 +106,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
     | `cost_context` | 0 | dt while the context monitor warns and the car changes lane or exceeds half the limit |
 
+    - `cost_alert`: an alert permits half of the speed limit, without lane changes.
     - `cost_headway` is also computed from the true gap and speeds without PL; the larger value counts.
     - `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with rho = 0.5 s, a
       = 2, b_min = 4 and b_max = 6 m/s2.

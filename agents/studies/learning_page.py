@@ -1,23 +1,25 @@
 """The page of a study: harm of every arm in every place, and differences of arms, from stored trainings.
 
-``python -m lanebound.agents.studies.learning_page docs/value_of_integrity.json docs`` writes ``value_of_integrity.md``
-and the learning curves into ``docs``, and prints the table of the results. With folders of the study after that, as
-``out/study=4518748`` with the commit that learnt there, it first makes the file of their parts: checkpoints and
-episodes of each training by columns.
+``python -m lanebound.agents.studies.learning_page docs/value_of_integrity.json docs`` writes ``value_of_integrity.md``,
+``value_of_integrity-differences.csv`` and the learning curves into ``docs``, and prints the table of the results. With
+folders of the study after that, as ``out/study=4518748`` with the commit that learnt there, it first makes the file of
+their parts: checkpoints and episodes of each training by columns.
 """
 
 from __future__ import annotations
 
+import csv
 import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from io import StringIO
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from lanebound.agents.report.pages import text_of
+from lanebound.agents.report.pages import Table, text_of
 from lanebound.agents.studies.learning import (
     PRIMARY,
     LearningStudyConfig,
@@ -34,7 +36,17 @@ from lanebound.integrity.assessment.plotting import INK, new_figure, tidy
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["curves_figure", "markdown", "overview", "packed", "summed_up", "unpacked", "write_page"]
+__all__ = [
+    "csv_of",
+    "curves_figure",
+    "differences",
+    "markdown",
+    "overview",
+    "packed",
+    "summed_up",
+    "unpacked",
+    "write_page",
+]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#9A9A9A", "#000000")  # Okabe and Ito 2008
 ENDS = ("collision", "off_road")
@@ -187,7 +199,9 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
         "",
         "## Differences",
         "",
-        _differences(study, places),
+        f"Differences in places where a p is below 1; [{name}-differences.csv]({name}-differences.csv) has all:",
+        "",
+        _with_p(differences(study, places)),
     ]
     return "\n".join(lines) + "\n"
 
@@ -239,17 +253,30 @@ def _by_arm(
     return text_of(("", *(f"`{arm}`" for arm in arms)), rows)
 
 
-def _differences(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) -> str:
-    """Of each compared pair of arms, a row for each place."""
-    rows = []
-    for arm, others in study.against.items():
-        for other in others:
-            name = f"`{arm}` - `{other}`"
-            for place in places:
-                less = place["arms"].get(arm, {"less": {}})["less"].get(other)
-                if less and less["cost"]["n"]:
-                    rows.append((name, _place(place), *(tested(less[key]) for key in PRIMARY)))
-                    name = ""
+def differences(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) -> Table:
+    """Of each compared pair of arms, a row for each place: differences with their intervals as text."""
+    rows = [
+        (arm, other, _place(place), *(tested(less[key]) for key in PRIMARY))
+        for arm, others in study.against.items()
+        for other in others
+        for place in places
+        if (less := place["arms"].get(arm, {"less": {}})["less"].get(other)) and less["cost"]["n"]
+    ]
+    return ("arm", "less", "place", *PRIMARY), rows
+
+
+def csv_of(table: Table) -> str:
+    """A table as comma-separated values, for a file."""
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows([table[0], *table[1]])
+    return text.getvalue()
+
+
+def _with_p(table: Table) -> str:
+    """The rows of which a p is below 1."""
+    shown = [(f"`{arm}` - `{other}`", *cells) for arm, other, *cells in table[1] if ", p " in " ".join(cells)]
+    pairs = [pair for pair, *_ in shown]
+    rows = [("" if n and pairs[n - 1] == pair else pair, *cells) for n, (pair, *cells) in enumerate(shown)]
     return text_of(("", "", *PRIMARY), rows)
 
 
@@ -266,14 +293,16 @@ def write_page(source: Path, out: Path) -> str:
 
     name, trainings = source.stem, unpacked(source)
     study = load_study(name)
+    found = summed_up(study, trainings).places
     (out / f"{name}.md").write_text(markdown(name, study, trainings), encoding="utf-8")
+    (out / f"{name}-differences.csv").write_text(csv_of(differences(study, found)), encoding="utf-8")
     there = {(one["env"], one["sky"]) for one in trainings}
     places = [place for place in study.places if place in there]
     for number, begin in enumerate(range(0, len(places), PLACES_A_PICTURE), start=1):
         chosen = places[begin : begin + PLACES_A_PICTURE]
         shown = [one for place in chosen for one in trainings if (one["env"], one["sky"]) == place]
         save(curves_figure(shown, list(study.arms)), out / f"{name}-curves-{number}.png")
-    return overview(study, summed_up(study, trainings).places)
+    return overview(study, found)
 
 
 def _made_of(folders: Iterable[str], target: Path) -> None:
