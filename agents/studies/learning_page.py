@@ -8,18 +8,16 @@ their parts: checkpoints and episodes of each training by columns.
 
 from __future__ import annotations
 
-import csv
 import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from io import StringIO
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from lanebound.agents.report.pages import Table, text_of
+from lanebound.agents.report.pages import Table, csv_of, text_of
 from lanebound.agents.studies.learning import (
     PRIMARY,
     LearningStudyConfig,
@@ -37,7 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "csv_of",
     "curves_figure",
     "differences",
     "markdown",
@@ -263,13 +260,6 @@ def differences(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]])
         if (less := place["arms"].get(arm, {"less": {}})["less"].get(other)) and less["cost"]["n"]
     ]
     return ("arm", "less", "place", *PRIMARY), rows
-
-
-def csv_of(table: Table) -> str:
-    """A table as comma-separated values, for a file."""
-    text = StringIO()
-    csv.writer(text, lineterminator="\n").writerows([table[0], *table[1]])
-    return text.getvalue()
 
 
 def _with_p(table: Table) -> str:

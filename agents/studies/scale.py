@@ -26,7 +26,7 @@ from lanebound.agents.report.pages import Table
 from lanebound.envs.vector.env import VectorDrivingEnv, engines
 from lanebound.integrity.core.accel import serial
 
-__all__ = ["SECTIONS", "Line", "ScalePoint", "fit", "points", "run_scale", "tables"]
+__all__ = ["SECTIONS", "Line", "ScalePoint", "fit", "measured", "points", "run_scale", "tables"]
 
 PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents:studies/scale.py")
 SURROGATE: dict[str, Any] = {"perception": {"others": "surrogate"}}
@@ -208,32 +208,36 @@ def _rows_of(result: Mapping[str, Any], table: str) -> dict[str, list[dict[str, 
 
 
 def _table(result: Mapping[str, Any], table: str) -> Table:
-    """Times and memory of an environment for each point, and the lines with the largest deviation of a point.
+    """Lines of time and memory for each configuration, with the range of its points; of two points no line.
 
     Where environments are counted, the lines are of all together; else of one environment.
     """
-    whole = table == "environments"
     rows = []
     for what, found in _rows_of(result, table).items():
-        for point in found:
-            count = point["envs"]
-            rows.append((
-                what, f"{point['value']:,.0f}", f"{1e6 * point['step_s'] / count:,.0f}",
-                f"{1e3 * point['reset_s'] / count:.2f}", f"{point['held'] / count / 1024.0:,.0f}",
-            ))  # fmt: skip
-        if len(found) > 2:
-            x = [point["value"] for point in found]
-            step, memory = (fit(x, [_value(point, key, whole) for point in found]) for key in ("step_s", "held"))
-            rows.append((
-                f"**line, {what}**", "all" if whole else "one",
-                f"{1e6 * step.fixed:,.0f} + {1e6 * step.each:.3g} x ({_worst(step)})", "",
-                f"{memory.fixed / 1024.0:,.0f} + {memory.each / 1024.0:.3g} x ({_worst(memory)})",
-            ))  # fmt: skip
+        x = [point["value"] for point in found]
+        if len(x) > 2:
+            lines = [fit(x, [_value(point, key, table == "environments") for point in found])
+                     for key in ("step_s", "held")]  # fmt: skip
+            step, memory = (_line(line, unit) for line, unit in zip(lines, (1e-6, 1024.0), strict=True))
+            resets = [1e3 * point["reset_s"] / point["envs"] for point in found]
+            rows.append((what, f"{x[0]:,.0f} to {x[-1]:,.0f}", step, f"{min(resets):.2f} to {max(resets):.2f}", memory))
     return ("", table, "step [us]", "reset [ms]", "memory [KiB]"), rows
 
 
-def _worst(line: Line) -> str:
-    return f"{100.0 * line.worst:+.0f} % at {line.where:,.0f}"
+def _line(line: Line, unit: float) -> str:
+    text = f"{line.fixed / unit:,.0f} + {line.each / unit:.3g} x"
+    return f"{text} ({100.0 * line.worst:+.0f} % at {line.where:,.0f})"
+
+
+def measured(result: Mapping[str, Any]) -> Table:
+    """All points: times and memory of one environment."""
+    heads = ("table", "configuration", "value", "step_us", "reset_ms", "memory_kib")
+    rows = [
+        (point["table"], point["what"], f"{point['value']:.0f}", f"{1e6 * point['step_s'] / point['envs']:.0f}",
+         f"{1e3 * point['reset_s'] / point['envs']:.2f}", f"{point['held'] / point['envs'] / 1024.0:.0f}")
+        for point in result["points"]
+    ]  # fmt: skip
+    return heads, rows
 
 
 def _value(point: Mapping[str, Any], key: str, whole: bool) -> float:

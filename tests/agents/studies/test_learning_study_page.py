@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from lanebound.agents.report.pages import csv_of
 from lanebound.agents.studies.learning import load_study
 from lanebound.agents.studies.learning_page import (
-    csv_of,
     differences,
     markdown,
     overview,
