@@ -8,7 +8,6 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-import textwrap
 from collections.abc import Iterable
 from enum import Enum
 from typing import Any
@@ -254,13 +253,15 @@ SHORT = re.compile(
 
 def _keys() -> str:
     """Every key of the configuration with its default, less weights, which have tables, and keys of the package."""
-    rows, short = [], []
+    rows: list[list[str]] = []
+    short: dict[str, list[str]] = {}
     for key, value, unit, text in describe(EnvConfig(base="highway-v0")):
         default = "needed" if key == "base" else f"{_plain(value)} {unit if value is not None else ''}".strip()
         if text.startswith("weight of") or key.startswith("reward.") or "an environment sets it" in text:
             continue
         if SHORT.match(key):
-            short.append(f"`{key}` {default}")
+            group, _, name = key.rpartition(".")
+            short.setdefault(group, []).append(f"`{name}` {default}")
         else:
             rows.append([f"`{key}`", default, _without_source(text).replace("|", "\\|")])
     parts = [
@@ -271,7 +272,7 @@ def _keys() -> str:
         "Weights are keys such as `reward.progress` and `cost.lane` (of `cost_lane`), with the defaults of the tables\n"
         "of [rewards](#rewards) and [costs](#costs). Other keys that the sections above describe, and scales of\n"
         "observations:",
-        "\n".join(textwrap.wrap(", ".join(short) + ".", 120, break_long_words=False, break_on_hyphens=False)),
+        _table(("group", "keys and defaults"), ([f"`{group}`", ", ".join(keys)] for group, keys in short.items())),
     ]
     return "\n\n".join(parts)
 
