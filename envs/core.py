@@ -30,18 +30,17 @@ WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # ends of the ranges from which seeds
 class DrivingEnv(gymnasium.Env[Any, Any]):
     """
     ## Description
-    A car drives in a world of highway-env, whose dynamics are unchanged. Ten times a second the sensors of the car are
-    simulated at its true pose (GNSS signals between buildings, corrections of a reference station, gyros,
-    accelerometers, wheel pulses), and a navigator computes an estimated pose with protection levels. All decisions use
-    the estimate: the observation, the lane of the car, lane changes, steering and speed control under meta-actions, the
-    route. Other vehicles react to true positions.
+    A car drives in a world of highway-env, whose dynamics are unchanged. Ten times a second its sensors are simulated
+    at the true pose (GNSS signals between buildings, corrections of a reference station, gyros, accelerometers, wheel
+    pulses), and a navigator computes an estimated pose with protection levels. Every decision uses the estimate:
+    observation, lane, lane changes, steering, speed control and route. Other vehicles react to true positions.
 
-    Each other driver has a mean offset from the middle of its lane (0.15 m, 1 sigma) and wanders about it (0.19 m, with
-    a correlation time of 5 s), at most 0.5 m in all; `wander.offset_sigma_m` and `wander.wander_sigma_m` of 0 put all
-    drivers into the middle, as in highway-env.
+    Other drivers have a mean offset from the middle of their lane (0.15 m, 1 sigma) and wander about it (0.19 m, with a
+    correlation time of 5 s), at most 0.5 m in all. `wander.offset_sigma_m` and `wander.wander_sigma_m` of 0 switch this
+    off, as in highway-env.
 
-    Lateral values are positive to the right, angles and yaw rates for right turns, as in highway-env. `at` is along the
-    track, `ct` across it. PL is a protection level, AL its alert limit.
+    Lateral values are positive to the right, angles and yaw rates for right turns. `at` is along the track, `ct` across
+    it. PL is a protection level, AL its alert limit.
 
     ## Action Space
     | `action` | space | commands |
@@ -50,12 +49,12 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `"continuous"` | `Box` | acceleration and steering in [-1, 1], as shares of their ranges |
 
     Meta-actions are 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower (Intersection: 0 slower, 1 idle, 2 faster).
-    `env.unwrapped.action_masks()` returns the meta-actions that are possible from the estimated pose. Steering is
-    limited to a lateral acceleration of 4 m/s2 and, in LaneKeeping, CarFollowing and UrbanCanyon, to a rate of 0.7
-    rad/s. A brake holds the car at standstill while no acceleration is commanded. Racetrack has neither.
+    `env.unwrapped.action_masks()` returns those that are possible from the estimated pose. Steering is limited to a
+    lateral acceleration of 4 m/s2 and, in LaneKeeping, CarFollowing and UrbanCanyon, to a rate of 0.7 rad/s. A brake
+    holds the car at standstill while no acceleration is commanded. Racetrack has neither limits nor brake.
 
     ## Observation Space
-    A `Dict` of vectors, float32, each entry divided by its scale and clipped to [-1, 1] or [0, 1]
+    A `Dict` of float32 vectors, each entry divided by its scale and clipped to [-1, 1] or [0, 1]
     ([index](#observation-index)). `observation.form="flat"` gives one `Box` with the same entries in this order;
     `observation.history` stacks observations.
 
@@ -75,8 +74,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `"blind"` | no group `integrity`, no protection levels in `traffic` |
     | `"oracle"` | the true state with protection levels of 0 |
 
-    Satellites are predicted with a map that has no trees and is inaccurate (1 sigma: 2.5 m in the height of a building,
-    0.7 m in its position); between buildings the prediction is wrong by 1 to 3 satellites on average.
+    The map that predicts satellites has no trees and has errors (1 sigma: 2.5 m in the height of a building, 0.7 m in
+    its position); between buildings the prediction is wrong by 1 to 3 satellites on average.
 
     ## Rewards
     The reward is the weighted sum of these terms, computed from the true state; `info["rewards"]` holds them
@@ -107,19 +106,22 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
     | `cost_context` | 0 | dt while the context monitor warns and the car changes lane or exceeds half the limit |
 
-    - `cost_headway` is also computed with the true gap, true speeds and no PL; the larger value counts.
+    - `cost_alert`: an alert permits half of the speed limit, without lane changes.
+    - `cost_headway` is also computed from the true gap and speeds without PL; the larger value counts.
     - `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with rho = 0.5 s, a
       = 2, b_min = 4 and b_max = 6 m/s2.
-    - T2 is the time until the second of two vehicles is where the first one is or just was, if both go on along their
-      lanes at their true speeds (Laureshyn et al. 2017; 1.5 s: Hyden 1987, FHWA-RD-03-050). Courses cross at more than
-      30 degrees (SSAM), only in Intersection and Roundabout. The right of way does not count. The weight is chosen.
-    - A missing protection level counts as 2 m across the track and as 40 m of the gap. A vehicle ahead that is nearer
-      than `d_RSS` and is not perceived costs dt.
-    - During a commanded lane change both lanes count as the lane, where lanes meet or fork each of them. With
-      `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0.
-    - Ending an episode early by a crash or off the road exceeds every `cost_limit` but can cost less than a careless
-      drive to the end (UrbanCanyon: 230 at once, `nominal` 221 or 355). Without a limit, costs may teach to end early.
-    - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
+    - T2 is the time until the second of two vehicles reaches the place where the first is or just was, if both go on
+      along their lanes at their true speeds (Laureshyn et al. 2017; 1.5 s: Hyden 1987, FHWA-RD-03-050). It counts for
+      courses that cross at more than 30 degrees (SSAM), only in Intersection and Roundabout, whoever has the right of
+      way.
+    - A missing protection level counts as 2 m across the track and as 40 m of the gap. An unperceived vehicle ahead
+      that is nearer than `d_RSS` costs dt.
+    - During a commanded lane change, and where lanes meet or fork, both lanes count. With `keep_lane=False` the whole
+      road counts, and `cost_lane_integrity` is 0.
+    - An episode that ends early by a crash or off the road exceeds every `cost_limit`, but can cost less than a
+      careless drive to the end (UrbanCanyon: 230 at once, `nominal` 221 or 355): without a limit, costs may teach to
+      end early.
+    - `cost_limit` bounds an episode's cost for constrained learning. It is not enforced.
 
     ## Info
     The same keys at reset and in each step. Known to the car:
@@ -155,40 +157,31 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     ## Starting State
     `reset(seed=...)` determines the whole episode: traffic, one of 4 generated cities along the roads, the hour of the
-    constellations, all sensor noise. The navigator runs for 3 s before the episode on a straight approach, from errors
-    of 0.05 m and 0.5 degrees (1 sigma). The map has an error of 0.03 m (1 sigma) on each axis, for which a tenth of the
-    integrity risk is allocated. All vehicles share the atmosphere and the reference station; half of the outages of the
-    link affect all of them, the others a single vehicle. An episode may begin in an outage, or under an alert (reason
-    `holding`) that clears within 1 s.
+    constellations, all sensor noise. The navigator starts 3 s before the episode on a straight approach, from errors of
+    0.05 m and 0.5 degrees (1 sigma). The map has an error of 0.03 m (1 sigma) on each axis, which takes a tenth of the
+    integrity risk. All vehicles share the atmosphere and the reference station; half of the outages of the link affect
+    all of them, the others a single vehicle. An episode may begin in an outage, or under an alert (reason `holding`)
+    that clears within 1 s.
 
     ## Episode End
     Terminated when the true car has crashed, has its middle off the road or has driven against its lane for 1 s, at the
-    goal of a world that has one, and by the rules of the wrapped world. Truncated when the world's time is up. A `step`
-    after the end is not refused in a single environment; the vector engine resets by itself, or refuses
+    goal of a world that has one, and by the rules of the wrapped world. Truncated when the world's time is up. A single
+    environment accepts a `step` after the end; the vector engine resets by itself, or refuses
     (`AutoresetMode.DISABLED`).
 
     `info["is_success"]` is true in the last step if the true car is unharmed, on the road, in the direction of its
-    lane, at the goal (Merge, Roundabout, Intersection) and in time: its mean speed along the lane was at least
-    `success_share` of the speed that the limit, the bends (2 m/s2 across) and a vehicle ahead within 4 s (no wreck)
-    allowed, and at the end it is at most 10 s (`success_behind_s`) behind a car that always drives at that share. Costs
-    do not count for a success: report successes within `cost_limit` and the mean speed (`success_within_limit` and
-    `mean_speed` of the benchmark).
+    lane, at the goal (Merge, Roundabout, Intersection) and fast enough. Fast enough means a share `success_share` of
+    the possible speed: that of the limit, the bends (2 m/s2 across) and a vehicle ahead within 4 s that is no wreck.
+    The mean speed along the lane must reach that share, and at the end the car may be at most 10 s (`success_behind_s`)
+    behind a car that always drives at it. Costs do not count: the benchmark has `success_within_limit` and
+    `mean_speed`.
 
     ## Arguments
-    `gymnasium.make(id, config={...}, render_mode=...)`. `config` is merged deeply over the preset of the id; an unknown
-    key is refused with the nearest one. `lanebound envs ID --json` prints the whole configuration of an id.
-    `render_mode` is `"rgb_array"`, `"human"` or None. Most used keys ([all](#configuration-keys)):
-
-    | key | meaning |
-    |---|---|
-    | `sky` | `"open"`, `"suburban"`, `"urban"`, `"dense"`, `"plaza"`, a recorded sky (`.csv`), or your own (`.yaml`) |
-    | `faults` | random faults: `"none"`, `"nominal"` or `"stress"` |
-    | `action`, `policy_hz`, `simulation_hz` | kind of action; decisions and steps of the dynamics (20) in a second |
-    | `navigation.source` | `"navigator"`, `"perfect"` (true pose) or `"offset"` (true pose plus a constant error) |
-    | `perception.source` | `"v2v"`, `"sensor"`, `"both"`, `"truth"` or `"none"` |
-    | `observation`, `reward`, `cost` | contents and scales; weights and parameters of the formulas |
-    | `actuators` | limits of steering; None for highway-env's own |
-    | `world` | keys of the wrapped world |
+    `gymnasium.make(id, config={...}, render_mode=...)`. `config` is merged deeply over the preset of the id ([all
+    keys](#configuration-keys)); an unknown key is refused with the nearest one. `lanebound envs ID --json` prints the
+    whole configuration of an id. `render_mode` is `"rgb_array"`, `"human"` or None. Groups of keys: `observation`,
+    `reward` and `cost` (contents, weights, parameters), `navigation` and `navigator` (position), `perception` (other
+    vehicles), `actuators` (limits of steering; None for highway-env's own) and `world` (keys of the wrapped world).
 
     ## Version History
     * v0: first version.

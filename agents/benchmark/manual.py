@@ -111,8 +111,14 @@ def _value(value: object) -> str:
 
 
 def _metrics() -> str:
-    rows = [(metric.key, (metric.unit, ARROWS[metric.better], metric.meaning)) for metric in METRICS]
-    return "\n".join(["| key | unit | | meaning |", "|---|---|---|---|", *_merged(rows)])
+    rows = [
+        (metric.key, (_united(f"{ARROWS[metric.better]} {metric.meaning}".strip(), metric.unit),)) for metric in METRICS
+    ]
+    return "\n".join(["| key | meaning |", "|---|---|", *_merged(rows)])
+
+
+def _united(meaning: str, unit: str) -> str:
+    return f"{meaning} [{unit}]" if unit else meaning
 
 
 def _merged(rows: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
@@ -122,8 +128,8 @@ def _merged(rows: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
 
 
 def _columns() -> str:
-    rows = [(c.name, (c.kind, c.unit, c.meaning)) for c in stored_columns()]
-    return "\n".join(["| column | type | unit | meaning |", "|---|---|---|---|", *_merged(rows)])
+    rows = [(c.name, (c.kind, _united(c.meaning, c.unit))) for c in stored_columns()]
+    return "\n".join(["| column | type | meaning |", "|---|---|---|", *_merged(rows)])
 
 
 if __name__ == "__main__":

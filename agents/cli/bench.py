@@ -29,7 +29,11 @@ def bench(
     ] = False,
     quick: Annotated[bool, typer.Option("--quick", help="With --scale: a few small points, in a minute.")] = False,
     page: Annotated[
-        Path | None, typer.Option(metavar="FILE.md", help="With --scale: page whose tables are written anew.")
+        Path | None,
+        typer.Option(
+            metavar="FILE.md",
+            help="With --scale: page whose tables are written anew, and beside it FILE.csv with all points.",
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -81,8 +85,8 @@ def _refuse_without_scale(quick: bool, page: Path | None) -> None:
 def _scale(out: Path, quick: bool, page: Path | None, only: list[str] | None, as_json: bool) -> None:
     from lanebound.agents.cli.output import show_study
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.report.pages import require_page
-    from lanebound.agents.studies.scale import SECTIONS, run_scale, tables
+    from lanebound.agents.report.pages import csv_of, require_page
+    from lanebound.agents.studies.scale import SECTIONS, measured, run_scale, tables
     from lanebound.integrity.core.errors import InputError
 
     if only:
@@ -93,4 +97,6 @@ def _scale(out: Path, quick: bool, page: Path | None, only: list[str] | None, as
         require_page(page, SECTIONS)
     with resumable(lambda: kept_text(out, "parts/*.json", "point")):
         result = with_bar("seconds of work", lambda on_progress: run_scale(out, quick, on_progress))
-    show_study(result, tables(result), out, page, as_json)
+    show_study(result, {"points": measured(result)} if quick else tables(result), out, page, as_json)
+    if page is not None:
+        page.with_suffix(".csv").write_text(csv_of(measured(result)), encoding="utf-8")

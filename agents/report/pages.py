@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable, Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["Table", "fill", "require_page", "text_of"]
+__all__ = ["Table", "csv_of", "fill", "require_page", "text_of"]
 
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 """Heads of the columns, and rows."""
@@ -51,6 +53,13 @@ def fill(path: Path, tables: Mapping[str, Table]) -> None:
 def text_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table in Markdown."""
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, ["---"] * len(heads), *rows))
+
+
+def csv_of(table: Table) -> str:
+    """A table as comma-separated values, for a file."""
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows([table[0], *table[1]])
+    return text.getvalue()
 
 
 def _marks(name: str) -> tuple[str, str]:

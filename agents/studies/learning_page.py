@@ -1,9 +1,9 @@
 """The page of a study: harm of every arm in every place, and differences of arms, from stored trainings.
 
-``python -m lanebound.agents.studies.learning_page docs/value_of_integrity.json docs`` writes ``value_of_integrity.md``
-and the learning curves into ``docs``, and prints the table of the results. With folders of the study after that, as
-``out/study=4518748`` with the commit that learnt there, it first makes the file of their parts: checkpoints and
-episodes of each training by columns.
+``python -m lanebound.agents.studies.learning_page docs/value_of_integrity.json docs`` writes ``value_of_integrity.md``,
+``value_of_integrity-differences.csv`` and the learning curves into ``docs``, and prints the table of the results. With
+folders of the study after that, as ``out/study=4518748`` with the commit that learnt there, it first makes the file of
+their parts: checkpoints and episodes of each training by columns.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from lanebound.agents.report.pages import text_of
+from lanebound.agents.report.pages import Table, csv_of, text_of
 from lanebound.agents.studies.learning import (
     PRIMARY,
     LearningStudyConfig,
@@ -34,7 +34,16 @@ from lanebound.integrity.assessment.plotting import INK, new_figure, tidy
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["curves_figure", "markdown", "overview", "packed", "summed_up", "unpacked", "write_page"]
+__all__ = [
+    "curves_figure",
+    "differences",
+    "markdown",
+    "overview",
+    "packed",
+    "summed_up",
+    "unpacked",
+    "write_page",
+]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#9A9A9A", "#000000")  # Okabe and Ito 2008
 ENDS = ("collision", "off_road")
@@ -153,10 +162,10 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
     lines = [
         f"# {study.title[:1].upper()}{study.title[1:]}",
         "",
-        f"Results of {len(trainings)} trainings, each evaluated on {study.test_seeds} held-out episodes ({episodes} in",
-        f"all). `configs/studies/{name}.yaml` defines them; [results](results/learning-study.md) states hypotheses and",
-        f"conclusions, `{name}.json` has every episode. This page, and the table there, are made by",
-        f"`python -m lanebound.agents.studies.learning_page docs/{name}.json docs`.",
+        f"{len(trainings)} trainings (`configs/studies/{name}.yaml`), each evaluated on {study.test_seeds} held-out"
+        f" episodes ({episodes} in all).",
+        f"Hypotheses and conclusions: [results](results/learning-study.md). `{name}.json` has every episode.",
+        f"`python -m lanebound.agents.studies.learning_page docs/{name}.json docs` makes this page.",
         "",
         "- Values are means over trainings; intervals are 95 %, of Student's distribution.",
         "- A training keeps the limit if the mean cost of its episodes is at most `cost_limit`.",
@@ -171,8 +180,8 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
         "",
         _kept(kept),
         "",
-        "Pairs of trainings (same place and seed) in which the row has a higher return than the column; in brackets",
-        "places in which its mean return is higher. These comparisons are not tested:",
+        "Pairs of trainings (same place and seed) in which the row has a higher return than the column, in brackets",
+        "places in which its mean return is higher (not tested):",
         "",
         _higher(study, trainings),
     ]
@@ -187,7 +196,9 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
         "",
         "## Differences",
         "",
-        _differences(study, places),
+        f"Differences in places where a p is below 1; [{name}-differences.csv]({name}-differences.csv) has all:",
+        "",
+        _with_p(differences(study, places)),
     ]
     return "\n".join(lines) + "\n"
 
@@ -213,9 +224,10 @@ def _higher(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]) 
 
     def cell(arm: str, other: str) -> str:
         above, pairs, places, of = higher(trainings, arm, other)
-        return f"{above}/{pairs} ({places}/{of})" if pairs and arm != other else ""
+        return f"{above}/{pairs} ({places}/{of})" if pairs else ""
 
-    return text_of(("", *(f"`{arm}`" for arm in arms)), [(f"`{a}`", *(cell(a, b) for b in arms)) for a in arms])
+    rows = [(f"`{a}`", *(cell(a, b) if n > m else "" for n, b in enumerate(arms))) for m, a in enumerate(arms[:-1])]
+    return text_of(("", *(f"`{arm}`" for arm in arms)), rows)
 
 
 def _harm(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) -> str:
@@ -238,17 +250,23 @@ def _by_arm(
     return text_of(("", *(f"`{arm}`" for arm in arms)), rows)
 
 
-def _differences(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) -> str:
-    """Of each compared pair of arms, a row for each place."""
-    rows = []
-    for arm, others in study.against.items():
-        for other in others:
-            name = f"`{arm}` - `{other}`"
-            for place in places:
-                less = place["arms"].get(arm, {"less": {}})["less"].get(other)
-                if less and less["cost"]["n"]:
-                    rows.append((name, _place(place), *(tested(less[key]) for key in PRIMARY)))
-                    name = ""
+def differences(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) -> Table:
+    """Of each compared pair of arms, a row for each place: differences with their intervals as text."""
+    rows = [
+        (arm, other, _place(place), *(tested(less[key]) for key in PRIMARY))
+        for arm, others in study.against.items()
+        for other in others
+        for place in places
+        if (less := place["arms"].get(arm, {"less": {}})["less"].get(other)) and less["cost"]["n"]
+    ]
+    return ("arm", "less", "place", *PRIMARY), rows
+
+
+def _with_p(table: Table) -> str:
+    """The rows of which a p is below 1."""
+    shown = [(f"`{arm}` - `{other}`", *cells) for arm, other, *cells in table[1] if ", p " in " ".join(cells)]
+    pairs = [pair for pair, *_ in shown]
+    rows = [("" if n and pairs[n - 1] == pair else pair, *cells) for n, (pair, *cells) in enumerate(shown)]
     return text_of(("", "", *PRIMARY), rows)
 
 
@@ -265,14 +283,16 @@ def write_page(source: Path, out: Path) -> str:
 
     name, trainings = source.stem, unpacked(source)
     study = load_study(name)
+    found = summed_up(study, trainings).places
     (out / f"{name}.md").write_text(markdown(name, study, trainings), encoding="utf-8")
+    (out / f"{name}-differences.csv").write_text(csv_of(differences(study, found)), encoding="utf-8")
     there = {(one["env"], one["sky"]) for one in trainings}
     places = [place for place in study.places if place in there]
     for number, begin in enumerate(range(0, len(places), PLACES_A_PICTURE), start=1):
         chosen = places[begin : begin + PLACES_A_PICTURE]
         shown = [one for place in chosen for one in trainings if (one["env"], one["sky"]) == place]
         save(curves_figure(shown, list(study.arms)), out / f"{name}-curves-{number}.png")
-    return overview(study, summed_up(study, trainings).places)
+    return overview(study, found)
 
 
 def _made_of(folders: Iterable[str], target: Path) -> None:

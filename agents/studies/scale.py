@@ -26,7 +26,7 @@ from lanebound.agents.report.pages import Table
 from lanebound.envs.vector.env import VectorDrivingEnv, engines
 from lanebound.integrity.core.accel import serial
 
-__all__ = ["SECTIONS", "Line", "ScalePoint", "fit", "points", "run_scale", "tables"]
+__all__ = ["SECTIONS", "Line", "ScalePoint", "fit", "measured", "points", "run_scale", "tables"]
 
 PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents:studies/scale.py")
 SURROGATE: dict[str, Any] = {"perception": {"others": "surrogate"}}
@@ -208,34 +208,35 @@ def _rows_of(result: Mapping[str, Any], table: str) -> dict[str, list[dict[str, 
 
 
 def _table(result: Mapping[str, Any], table: str) -> Table:
-    """Times and memory of an environment for each point, and the lines through those of all environments together.
+    """Lines of time and memory for each configuration, with the range of its points; of two points no line.
 
     Where environments are counted, the lines are of all together; else of one environment.
     """
-    whole = table == "environments"
-    heads = ("", table, "step [us]", "reset [ms]", "memory [KiB]", "memory, all [MB]", "off the line: step, memory")
     rows = []
     for what, found in _rows_of(result, table).items():
         x = [point["value"] for point in found]
-        steps, memory = ([_value(point, key, whole) for point in found] for key in ("step_s", "held"))
-        lines = [fit(x, y) for y in (steps, memory)] if len(x) > 2 else []
-        for n, point in enumerate(found):
-            count = point["envs"]
-            off = [values[n] / (line.fixed + line.each * x[n]) - 1.0
-                   for values, line in zip((steps, memory), lines, strict=False)]  # fmt: skip
-            rows.append((
-                what, f"{point['value']:,.0f}", f"{1e6 * point['step_s'] / count:,.0f}",
-                f"{1e3 * point['reset_s'] / count:.2f}", f"{point['held'] / count / 1024.0:,.0f}",
-                f"{point['held'] / 1e6:,.0f}", ", ".join(f"{100.0 * o:+.0f} %" for o in off),
-            ))  # fmt: skip
-        if lines:
-            of = "all" if whole else "one"
-            of_step, of_memory = lines
-            rows.append((
-                f"**line, {what}**", of, f"{1e6 * of_step.fixed:,.0f} + {1e6 * of_step.each:.3g} x", "",
-                f"{of_memory.fixed / 1024.0:,.0f} + {of_memory.each / 1024.0:.3g} x", "",
-                ", ".join(f"{100.0 * line.worst:+.0f} % at {line.where:,.0f}" for line in lines),
-            ))  # fmt: skip
+        if len(x) > 2:
+            lines = [fit(x, [_value(point, key, table == "environments") for point in found])
+                     for key in ("step_s", "held")]  # fmt: skip
+            step, memory = (_line(line, unit) for line, unit in zip(lines, (1e-6, 1024.0), strict=True))
+            resets = [1e3 * point["reset_s"] / point["envs"] for point in found]
+            rows.append((what, f"{x[0]:,.0f} to {x[-1]:,.0f}", step, f"{min(resets):.2f} to {max(resets):.2f}", memory))
+    return ("", table, "step [us]", "reset [ms]", "memory [KiB]"), rows
+
+
+def _line(line: Line, unit: float) -> str:
+    text = f"{line.fixed / unit:,.0f} + {line.each / unit:.3g} x"
+    return f"{text} ({100.0 * line.worst:+.0f} % at {line.where:,.0f})"
+
+
+def measured(result: Mapping[str, Any]) -> Table:
+    """All points: times and memory of one environment."""
+    heads = ("table", "configuration", "value", "step_us", "reset_ms", "memory_kib")
+    rows = [
+        (point["table"], point["what"], f"{point['value']:.0f}", f"{1e6 * point['step_s'] / point['envs']:.0f}",
+         f"{1e3 * point['reset_s'] / point['envs']:.2f}", f"{point['held'] / point['envs'] / 1024.0:.0f}")
+        for point in result["points"]
+    ]  # fmt: skip
     return heads, rows
 
 

@@ -20,8 +20,8 @@ class Highway(Preset):
     Drive fast in dense traffic on a straight motorway (highway-env's `highway-v0`): 4 lanes of 4 m, a speed limit of 30
     m/s, 50 other vehicles. Buildings line the first 2.5 km. The alert limits are 1.5 m along and 1 m across the track.
 
-    Difficulty: position errors put the car beside its lane and into gaps that are elsewhere. Under `dense`, `nominal`
-    crashes in 6 of 24 drives with neighbours known by radio (`v2v`), in 1 with their true poses (`truth`).
+    Difficulty: because of position errors the car leaves its lane and misjudges gaps. Under `dense`, `nominal` crashes
+    in 6 of 24 drives with neighbours known by radio (`v2v`), in 1 with their true poses (`truth`).
 
     ## Action Space
     `Discrete(5)` at 2 Hz, with the target speeds 0, 5, 10, 15, 20, 25 and 30 m/s (highway-env has only 20 to 30 m/s).
@@ -33,13 +33,13 @@ class Highway(Preset):
     As above.
 
     ## Costs
-    As above. An alert permits 15 m/s. `cost_limit` is 10, the default; it is not adjusted to these drives.
+    As above. An alert permits 15 m/s. `cost_limit` is 10, the default.
 
     ## Starting State
     On a random lane, about 180 m from its start, at 25 m/s; all other vehicles are ahead.
 
     ## Episode End
-    Truncated after 40 s. A success requires 0.65 of the allowed speed (`success_share`).
+    Truncated after 40 s. A success requires 0.65 of the possible speed.
 
     ## Arguments
     `config["world"]`: keys of highway-env, such as `lanes_count` (4), `vehicles_count` (50), `vehicles_density` (1),
@@ -79,7 +79,7 @@ class Merge(Preset):
     As above.
 
     ## Costs
-    As above. An alert permits 10 m/s. `cost_limit` is 0.7. Mean costs over 24 training seeds: `integrity_aware` 0.2,
+    As above. An alert permits 10 m/s. `cost_limit` is 0.7. Mean costs (24 training seeds): `integrity_aware` 0.2,
     `stop_on_alert` 0.4, a driver that ignores alerts 1.2.
 
     ## Starting State
@@ -87,8 +87,8 @@ class Merge(Preset):
     road at 20 m/s.
 
     ## Episode End
-    Terminated on arrival, beyond 370 m, without which there is no success. Truncated after 26 s (`duration_s`): a car
-    at half the limit does not arrive.
+    Terminated on arrival, beyond 370 m, which a success requires. Truncated after 26 s (`duration_s`): a car at half
+    the limit does not arrive.
 
     ## Arguments
     `config["world"]`: keys of highway-env, all of them weights of its own reward.
@@ -129,17 +129,16 @@ class Roundabout(Preset):
     As above.
 
     ## Costs
-    As above. An alert permits 10 m/s. `cost_limit` is 5, the 0.7 quantile of `integrity_aware` over 24 training seeds
-    (4.9). With perfect navigation `cost_lane` is 0.6: highway-env's steering leaves the lane where the approach meets
-    the circle.
+    As above. An alert permits 10 m/s. `cost_limit` is 5, the 0.7 quantile of `integrity_aware` over 24 training seeds.
+    With perfect navigation `cost_lane` is 0.6: highway-env's steering leaves the lane where the approach meets the
+    circle.
 
     ## Starting State
     On the southern approach, 2.5 m before it bends towards the circle, at 8 m/s; one vehicle on the eastern approach,
     the others before and in the circle.
 
     ## Episode End
-    Terminated on arrival, 10 m along the straight of the north exit, without which there is no success. Truncated after
-    24 s.
+    Terminated on arrival, 10 m along the straight of the north exit, which a success requires. Truncated after 24 s.
 
     ## Arguments
     `config["world"]`: keys of highway-env, such as `incoming_vehicle_destination`, `duration` (24 s; highway-env has 11
@@ -183,22 +182,22 @@ class Intersection(Preset):
 
     ## Costs
     As above, with other weights: 40 for `cost_conflict` (10 elsewhere) and 0.02 for `cost_lane_integrity` (0.1
-    elsewhere), so that a conflict with T2 < 1.42 s exceeds the limit and a level alone does not. An alert permits 5
-    m/s. `cost_limit` is 2: the 0.7 quantile of `integrity_aware` over 20 training seeds (1.8), rounded up. The shipped
-    policy was trained with the usual weights, without `cost_conflict`, and for a limit of 8.
+    elsewhere). A conflict with T2 < 1.42 s then exceeds the limit, a level alone does not. An alert permits 5 m/s.
+    `cost_limit` is 2, the 0.7 quantile of `integrity_aware` over 20 training seeds, rounded up. The shipped policy was
+    trained with the usual weights, without `cost_conflict`, for a limit of 8.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.
 
     ## Episode End
-    Terminated on arrival, 25 m beyond the crossing on the exit to the destination, without which there is no success.
-    Truncated after 45 s. A success requires 0.27 of the allowed speed (`success_share`).
+    Terminated on arrival, 25 m beyond the crossing on the exit to the destination, which a success requires. Truncated
+    after 45 s. A success requires 0.27 of the possible speed.
 
     ## Arguments
-    `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (7 attempts;
-    highway-env has 10), `spawn_probability` (0.14 at each decision, 1,000 an hour; highway-env has 2,160 an hour, at
-    which its drivers block each other), `duration` (45 s; highway-env has 13 s). Other drivers wait before the crossing
-    until their way through it is free, do not reverse, and speed up with at most 2 m/s2. Nobody gives way to the car.
+    `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (7
+    attempts), `spawn_probability` (0.14 at each decision, 1,000 an hour; at the 2,160 an hour of highway-env drivers
+    block each other), `duration` (45 s; highway-env has 13 s). Other drivers wait before the crossing until their way
+    is free, do not reverse, and speed up with at most 2 m/s2. Nobody gives way to the car.
 
     ## Version History
     * v0: first version, on `intersection-v2`.
@@ -238,7 +237,7 @@ class Racetrack(Preset):
     ## Costs
     As above, with `keep_lane=False`: `cost_lane` counts beyond the edges of the road and `cost_lane_integrity` is 0.
     Because the car cannot slow down, an alert permits 10 m/s (`cost.alert_speed_share` is 1). `cost_limit` is 10. Costs
-    of a third of an episode (12 training seeds): 10 for `nominal`, all of it `cost_lane`, and 0.1 for `oracle`;
+    of a third of an episode (12 training seeds): 10 for `nominal`, all of it `cost_lane`, and 0.1 for `oracle`.
     `stop_on_alert` collides with the slower vehicle.
 
     ## Starting State

@@ -34,15 +34,14 @@ class LaneKeeping(Preset):
     As above.
 
     ## Costs
-    As above; `cost_headway` is always 0. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs over 24 training
-    seeds: `stop_on_alert` 4, `integrity_aware` 14, a driver that ignores alerts 50.
+    As above; `cost_headway` is always 0. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs (24 training seeds):
+    `stop_on_alert` 4, `integrity_aware` 14, a driver that ignores alerts 50.
 
     ## Starting State
     In the middle of the lane, 10 to 956 m along the road, at 10 m/s or at the speed that the bends ahead allow.
 
     ## Episode End
-    Truncated after 60 s, or 20 m before the end of the road. A success requires 0.55 of the allowed speed
-    (`success_share`).
+    Truncated after 60 s, or 20 m before the end of the road. A success requires 0.55 of the possible speed.
 
     ## Arguments
     `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 1.83 to 1.94 km), `lanes_count` (1),
@@ -70,8 +69,8 @@ class CarFollowing(Preset):
     (in 35 % of the cases 2.5 to 6 m/s2) and stands for 2 to 18 s. The alert limits are 1.5 m along and 0.625 m across
     the track.
 
-    Difficulty: the position of the vehicle ahead is known from its broadcasts, so the gap contains the errors of both
-    vehicles and its bound both protection levels.
+    Difficulty: the vehicle ahead is known by its broadcasts, so the gap contains the errors of both vehicles, and its
+    bound both protection levels.
 
     ## Action Space
     `Box(-1.0, 1.0, (2,), float32)` at 5 Hz: acceleration (1 is 6 m/s2), steering (1 is 0.4 rad to the right). The speed
@@ -84,7 +83,7 @@ class CarFollowing(Preset):
     As above.
 
     ## Costs
-    As above; `cost_headway` dominates. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs over 24 training seeds:
+    As above; `cost_headway` dominates. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs (24 training seeds):
     `stop_on_alert` 3, `integrity_aware` 23, a driver that ignores alerts 52.
 
     ## Starting State
@@ -92,8 +91,7 @@ class CarFollowing(Preset):
     gap of 2 m + T v between bumpers; T is drawn from 0.8 to 1.0 s.
 
     ## Episode End
-    Truncated after 120 s, or 20 m before the end of the road. A success requires 0.5 of the allowed speed
-    (`success_share`).
+    Truncated after 120 s, or 20 m before the end of the road. A success requires 0.5 of the possible speed.
 
     ## Arguments
     `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 2.67 to 3.21 km), `lane_width` (3.25 m),
@@ -134,15 +132,15 @@ class UrbanCanyon(Preset):
     As above.
 
     ## Costs
-    As above. An alert permits 6.9 m/s (target speed 5.6 m/s) without a lane change. `cost_limit` is 40. Mean costs over
-    12 training seeds: `stop_on_alert` 6 (it hardly moves), `integrity_aware` 56, `nominal` 221.
+    As above. An alert permits 6.9 m/s (target speed 5.6 m/s) without a lane change. `cost_limit` is 40. Mean costs (12
+    training seeds): `stop_on_alert` 6 (it hardly moves), `integrity_aware` 56, `nominal` 221.
 
     ## Starting State
     In the middle of either lane, anywhere on the loop, at 10 m/s or at the speed that the bends ahead allow; the other
     vehicles from 200 m behind to 400 m ahead.
 
     ## Episode End
-    Truncated after 120 s. A success requires 0.48 of the allowed speed (`success_share`).
+    Truncated after 120 s. A success requires 0.48 of the possible speed.
 
     ## Arguments
     `config["world"]`: `vehicles_count` (10; fewer where drawn positions are too close), `spread` ([-200, 400] m),

@@ -8,8 +8,17 @@ from pathlib import Path
 
 import pytest
 
+from lanebound.agents.report.pages import csv_of
 from lanebound.agents.studies.learning import load_study
-from lanebound.agents.studies.learning_page import markdown, overview, packed, summed_up, unpacked, write_page
+from lanebound.agents.studies.learning_page import (
+    differences,
+    markdown,
+    overview,
+    packed,
+    summed_up,
+    unpacked,
+    write_page,
+)
 
 DOCS = Path(__file__).parents[3] / "docs"
 NAME = "value_of_integrity"
@@ -21,12 +30,14 @@ def test_the_page_is_up_to_date() -> None:
     trainings = unpacked(DOCS / f"{NAME}.json")
     study = load_study(NAME)
     assert (DOCS / f"{NAME}.md").read_text(encoding="utf-8") == markdown(NAME, study, trainings)
-    assert overview(study, summed_up(study, trainings).places) in RESULTS.read_text(encoding="utf-8")
+    places = summed_up(study, trainings).places
+    assert overview(study, places) in RESULTS.read_text(encoding="utf-8")
+    assert (DOCS / f"{NAME}-differences.csv").read_text(encoding="utf-8") == csv_of(differences(study, places))
 
 
-def test_every_interval_in_the_results_is_one_of_the_page() -> None:
+def test_every_interval_in_the_results_is_one_of_the_differences() -> None:
     section = RESULTS.read_text(encoding="utf-8")
-    page = (DOCS / f"{NAME}.md").read_text(encoding="utf-8")
+    page = (DOCS / f"{NAME}-differences.csv").read_text(encoding="utf-8")
     quoted = re.findall(r"-?[\d.]+ \[-?[\d.]+, -?[\d.]+\](?:, p [\d.e-]*\d)?", " ".join(section.split()))
     assert len(quoted) > 5
     assert [interval for interval in quoted if interval not in page] == []
@@ -80,7 +91,10 @@ def test_pages_are_written_of_what_is_there(tmp_path: Path) -> None:
     source.write_text(json.dumps(rows), encoding="utf-8")
     table = write_page(source, tmp_path)
     page = (tmp_path / f"{NAME}.md").read_text(encoding="utf-8")
-    assert "of 5 trainings" in page
+    assert "5 trainings (" in page
     assert "| LaneKeeping, urban | 14±0 at 14±0 (2) |" in table
-    assert "| `taught` - `lagrangian` | LaneKeeping, urban | 26 [26, 26]" in page
+    assert "## Differences" in page
+    lines = (tmp_path / f"{NAME}-differences.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "arm,less,place,return,cost,harm"
+    assert lines[1].startswith('taught,lagrangian,"LaneKeeping, urban","26 [26, 26]"')
     assert (tmp_path / "value_of_integrity-curves-1.png").stat().st_size > 1000

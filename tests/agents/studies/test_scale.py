@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.studies import scale
-from lanebound.agents.studies.scale import ScalePoint, fit, plan, points, run_scale, tables
+from lanebound.agents.studies.scale import ScalePoint, fit, measured, plan, points, run_scale, tables
 
 BARE: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 4.0}
 FEW = [ScalePoint("environments", n, "LaneKeeping", "LaneKeeping", n, BARE) for n in (1, 2, 4)]
@@ -60,7 +60,10 @@ def test_points_are_measured_once_and_shown_in_tables(tmp_path: Path, monkeypatc
         assert min(point["step_s"], point["reset_s"], point["open_s"]) > 0.0
     shown = tables(result)
     heads, rows = shown["environments"]
-    assert [row[1] for row in rows] == ["1", "2", "4", "all"]
+    assert [row[:2] for row in rows] == [("LaneKeeping", "1 to 4")]
+    assert {len(row) for row in rows} == {len(heads)}
+    heads, rows = measured(result)
+    assert [row[:3] for row in rows] == [("environments", "LaneKeeping", value) for value in ("1", "2", "4")]
     assert {len(row) for row in rows} == {len(heads)}
     assert shown["vehicles"][1] == []
 
