@@ -151,6 +151,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `crashed_now`, `astray_now` | new in this step: a crash; off the road or against the traffic |
     | `is_success` | the episode ends well in this step |
     | `cost` and the causes above | weighted sum; unweighted causes |
+    | `costs` | the unweighted causes as one vector (9,), float64, in the order of `lanebound.envs.costs.CAUSES` |
     | `rewards` | unweighted terms |
 
     ## Starting State
