@@ -24,8 +24,10 @@ ZERO = np.zeros(())  # an array compares faster than a number
 
 
 class StepResult(NamedTuple):
-    """What a step has come to in N environments, a copy: arrays (N,); ``terms`` and ``rest`` as infos name them, the last of
-    ``rest`` (N, C)."""
+    """What a step has come to in N environments, a copy: arrays (N,), the last of ``rest`` (N, C).
+
+    ``terms`` and ``rest`` are in the order in which infos name them.
+    """
 
     rewards: NDArray[np.float64]
     terminated: NDArray[np.bool_]
@@ -52,8 +54,8 @@ def form_of(mask: NDArray[np.bool_]) -> tuple[Infos, Infos]:
 
 
 def infos_of(found: StepResult, form: tuple[Infos, Infos], own: Mapping[str, NDArray[np.float64]]) -> Infos:
-    """The info of environments: a :func:`form_of` them, which stays as it is, filled with arrays (N,), ``costs`` (N, C);
-    ``own`` of plug-ins."""
+    """The info of environments: a :func:`form_of` them, which stays as it is, filled with arrays (N,) and ``costs``
+    (N, C); ``own`` of plug-ins."""
     infos, terms = form[0].copy(), form[1].copy()
     infos.update(zip(NAMES, found.rest, strict=True))
     terms.update(zip(TERMS, found.terms, strict=True))
