@@ -77,8 +77,7 @@ def outcome_of_statistics(
         alerts=statistics["alerts"],
         mi_steps=statistics["mi_steps"],
         hmi_steps=statistics["hmi_steps"],
-        **_limits(config, costs),
-        **more,
+        **{**_limits(config, costs), **more},
     )
 
 

@@ -14,7 +14,6 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.benchmark.metrics import metric_named
-from lanebound.agents.benchmark.outcome import PARTS
 from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of_statistics
 from lanebound.agents.benchmark.suite import SPLITS, SuiteConfig, parse_agents
 from lanebound.agents.checkpointing.folder import ResultFolder
@@ -23,7 +22,7 @@ from lanebound.agents.drivers.foreign import load_checkpoint, require_foreign
 from lanebound.agents.drivers.origin import environment_in, experiment_in
 from lanebound.agents.episodes import open_env
 from lanebound.agents.learning.algorithms import CLASSES
-from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
+from lanebound.agents.learning.experiment import FLAT, GROUP_COST, ExperimentConfig, Shield
 from lanebound.agents.learning.opening import for_judging
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.costs import GROUPS
@@ -38,7 +37,6 @@ JUDGED = (
     "throughput", "alert_share", "any_hmi", *(f"over_{group}_limit" for group in GROUPS), "within_all_limits",
 )  # fmt: skip
 """Metrics of an episode in evaluations of checkpoints; those about limits where there are limits."""
-GROUP_COST = PARTS["group_costs"]
 KINDS = {path.rpartition(":")[2]: algorithm for algorithm, path in CLASSES.items()}
 
 

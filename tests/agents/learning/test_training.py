@@ -164,7 +164,7 @@ def test_the_logs_hold_costs_by_cause_and_what_integrity_came_to(tmp_path: Path)
 
 def test_the_best_is_by_return_within_the_limit_and_by_cost_outside() -> None:
     def best(*rows: tuple[float, float], se: float = 0.0) -> bool:
-        return is_best([{"return": value, "cost": cost, "cost_se": se} for value, cost in rows], 10.0)
+        return is_best([{"return": value, "cost": cost, "cost_se": se} for value, cost in rows], {"cost": 10.0})
 
     assert best((5.0, 50.0))
     assert best((5.0, 50.0), (4.0, 40.0))
@@ -174,6 +174,19 @@ def test_the_best_is_by_return_within_the_limit_and_by_cost_outside() -> None:
     assert not best((1.0, 1.0), (9.0, 11.0))
     assert not best((1.0, 1.0), (9.0, 9.5), se=1.0)  # lucky, perhaps
     assert best((1.0, 1.0), (9.0, 8.5), se=1.0)
+
+
+def test_the_best_is_within_all_limits_and_else_the_least_beyond_any() -> None:
+    limits = {"cost": 10.0, "group_cost_lane": 2.0}
+
+    def best(*rows: tuple[float, float, float]) -> bool:
+        return is_best([dict(zip(("return", *limits), row, strict=True)) for row in rows], limits)
+
+    assert not best((1.0, 9.0, 2.0), (9.0, 5.0, 2.1))  # more return, but one limit is exceeded
+    assert best((9.0, 5.0, 2.1), (1.0, 9.0, 2.0))
+    assert best((1.0, 5.0, 6.0), (1.0, 20.0, 2.0))  # threefold, then twofold
+    assert not best((1.0, 20.0, 2.0), (1.0, 5.0, 6.0))
+    assert is_best([{"return": 1.0, "cost": 1.0}, {"return": 2.0, "cost": 1e6}], {})
 
 
 @pytest.mark.parametrize("name", [n.partition("/")[2] for n in preset_names() if n.startswith("experiments/")])
