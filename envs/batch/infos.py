@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lanebound.envs.batch.records_kernel import CAUSES, OUTCOME, TERMS
 from lanebound.integrity.core.records import Records
 
-__all__ = ["NAMES", "StepResult", "form_of", "info_of", "infos_of", "results", "single_info"]
+__all__ = ["NAMES", "StepResult", "as_ended", "form_of", "info_of", "infos_of", "results", "single_info"]
 
 FIELDS = OUTCOME.names or ()
 COST, TERMINATED, TRUNCATED, MODE = (FIELDS.index(name) for name in ("cost", "terminated", "truncated", "mode"))
@@ -87,4 +87,25 @@ def single_info(infos: Infos, row: int) -> Infos:
             found[name] = single_info(value, row)
         else:
             found[name] = value[row].item() if value.ndim == 1 else value[row].copy()
+    return found
+
+
+def as_ended(infos: Infos, over: NDArray[np.bool_]) -> Infos:
+    """Arrays of a step under ``SameStep``: where an episode is over those of its end, not those of the new start.
+
+    Parameters
+    ----------
+    infos : of the vector environment
+    over : (N,), whether the episode ended with the step
+    """
+    return _mixed(infos["final_info"], infos, over) if over.any() else infos
+
+
+def _mixed(ended: Infos, going_on: Infos, over: NDArray[np.bool_]) -> Infos:
+    found: Infos = {}
+    for name, last in ended.items():
+        if isinstance(last, dict):
+            found[name] = _mixed(last, going_on[name], over)
+        else:
+            found[name] = np.where(over if last.ndim == 1 else over[:, None], last, going_on[name])
     return found
