@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, Outcome, Place, Task
+from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, MANOEUVRE_S, TTA_S, Outcome, Place, Task
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.assessment.events import alert_delays
+from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["UNNAMED", "outcome_of", "outcome_of_statistics"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Row = Mapping[str, Any]
+ROUNDING_S = 1e-9  # times are sums of steps
 ENDINGS = (("crashed", "collision"), ("off_road", "off road"), ("wrong_way", "wrong way"))
 UNNAMED = Task(Place("", "", ""), "", 0)
 
@@ -134,6 +136,7 @@ def _figures(rows: Sequence[Row], allotted_s: float) -> dict[str, Any]:
         **_comfort(rows),
         **_integrity(rows[1:]),
         **_alerts(rows),
+        "first_fix_s": _first_fix_s(rows),
     }
 
 
@@ -182,6 +185,8 @@ def _integrity(rows: Sequence[Row]) -> dict[str, Any]:
         found |= {
             f"pl_{axis}_median_m": float(np.quantile(np.minimum(level, LEVEL_MAX_M), 0.5, method="higher")),
             f"pe_{axis}_median_m": float(np.median(error)),
+            f"pe_{axis}_p75_m": float(np.percentile(error, 75.0)),
+            f"pe_{axis}_p95_m": float(np.percentile(error, 95.0)),
             f"pe_{axis}_max_m": float(error.max()),
         }
     available = _flags(rows, "available")
@@ -203,8 +208,31 @@ def _alerts(rows: Sequence[Row]) -> dict[str, Any]:
     return {
         "alerts": int(alert[0]) + int((alert[1:] & ~alert[:-1]).sum()),
         "time_to_alert_s": float(delay_s.mean()) if delay_s.size else None,
+        "time_to_alert_max_s": float(delay_s.max()) if delay_s.size else None,
         "missed_alerts": int(missed.sum()),
+        "integrity_failures": int((delay_s > TTA_S + ROUNDING_S).sum()),
+        "manoeuvre_continuity": _manoeuvre_continuity(time_s[1:], alert),
     }
+
+
+def _manoeuvre_continuity(time_s: Array, alert: Bools) -> float | None:
+    """Of all steps without an alert, so long before the end, the share after which none comes for MANOEUVRE_S.
+
+    It is the probability of S3 II.A that the performance is maintained for the duration of a phase of operation, given
+    that it was available at its beginning, over manoeuvres that begin at any moment.
+    """
+    ends = np.searchsorted(time_s, time_s + MANOEUVRE_S - ROUNDING_S)  # first step at the end of the manoeuvre or later
+    begun = np.flatnonzero(~alert & (ends < time_s.size))
+    if not begun.size:
+        return None
+    before = np.append(0, np.cumsum(alert))  # number of steps with an alert before each
+    return float((before[ends[begun] + 1] == before[begun]).mean())
+
+
+def _first_fix_s(rows: Sequence[Row]) -> float:
+    """Time of the first row with a position by satellites; without one, that of the last: as long at least."""
+    fixes = {mode.key for mode in Mode if mode.is_service or mode in (Mode.RTK, Mode.CODE)}
+    return float(next((row["time_s"] for row in rows if row["mode"] in fixes), rows[-1]["time_s"]))
 
 
 def _failures(rows: Sequence[Row], time_s: Array) -> tuple[Array, Array, Array]:
