@@ -53,9 +53,11 @@ def print_report(
     columns = ("seed", "ended by", "time [s]", "return", "cost", "success", "available", "HMI")
     print_table(f"{who}: {counted(len(outcomes), 'episode')}", columns, map(_line, outcomes))
     if position:
-        head = ("axis", *(name.removesuffix("_m").replace("_", " ") for name in next(iter(position.values()))))
-        rows = [(axis, *map(_metres, found.values())) for axis, found in position.items()]
-        print_table("Errors and protection levels of the ego's position [m]", head, rows)
+        figures = zip(*(found.items() for found in position.values()), strict=True)
+        rows = [
+            (pairs[0][0].removesuffix("_m").replace("_", " "), *(_metres(m) for _, m in pairs)) for pairs in figures
+        ]
+        print_table("Errors and protection levels of the ego's position [m]", ("figure", *position), rows)
     over = "" if len(outcomes) == 1 else f", means over {len(outcomes)} episodes"
     limits = {"cost": limit} | {GROUP + name: own for name, own in outcomes[0].cost_limits.items()}
     found = measures(outcomes, services).items()
