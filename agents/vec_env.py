@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from lanebound.agents.plugins import load_plugins, loaded_plugins
 from lanebound.envs import IDS
-from lanebound.envs.batch.infos import NAMES, single_info
+from lanebound.envs.batch.infos import NAMES, as_ended, single_info
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import faults_in
 from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
@@ -158,12 +158,12 @@ class EngineVecEnv(VecEnv):
             raise InputError("step_wait must follow step_async, got no actions: call step(actions)")
         observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
         over = terminated | truncated
-        self._actions, self.arrays = None, _as_ended(infos, over)
+        self._actions, self.arrays = None, as_ended(infos, over)
         self._returns += rewards
         self._lengths += 1
         if self._totals is not None:
             self._totals.add(rewards, self.arrays)
-        columns = [infos[key].tolist() for key in self._keys]
+        columns = [list(infos[key]) if infos[key].ndim > 1 else infos[key].tolist() for key in self._keys]
         found = [dict(zip(self._keys, row, strict=True)) for row in zip(*columns, strict=True)]
         found = found or [{} for _ in range(self.num_envs)]
         ended = np.flatnonzero(over)
@@ -239,15 +239,3 @@ def _advise_one_thread(threads: int) -> None:
         "that more threads mostly wait, and beside other busy processes learning takes many times as long.",
         threads,
     )
-
-
-def _as_ended(infos: dict[str, Any], over: NDArray[np.bool_]) -> dict[str, Any]:
-    """Arrays of a step, those of the end in place of those of the new start where an episode ended."""
-    return _mixed(infos["final_info"], infos, over) if over.any() else infos
-
-
-def _mixed(ended: dict[str, Any], going_on: dict[str, Any], over: NDArray[np.bool_]) -> dict[str, Any]:
-    return {
-        name: _mixed(last, going_on[name], over) if isinstance(last, dict) else np.where(over, last, going_on[name])
-        for name, last in ended.items()
-    }

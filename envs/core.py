@@ -121,7 +121,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     - An episode that ends early by a crash or off the road exceeds every `cost_limit`, but can cost less than a
       careless drive to the end (UrbanCanyon: 230 at once, `nominal` 221 or 355): without a limit, costs may teach to
       end early.
-    - `cost_limit` bounds an episode's cost for constrained learning. It is not enforced.
+    - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
+    - `cost_limits` adds limits of parts of that cost, each with the weights above, none by default and not enforced:
+      `lane` (`cost_lane` and `cost_lane_integrity`), `headway`, `conflict`, `alert` and `hmi` (the cause of that name).
 
     ## Info
     The same keys at reset and in each step. Known to the car:
@@ -153,6 +155,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `crashed_now`, `astray_now` | new in this step: a crash; off the road or against the traffic |
     | `is_success` | the episode ends well in this step |
     | `cost` and the causes above | weighted sum; unweighted causes |
+    | `costs` | the unweighted causes as one vector (9,), float64, in the order of `lanebound.envs.costs.CAUSES` |
     | `rewards` | unweighted terms |
 
     ## Starting State
@@ -180,8 +183,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     `gymnasium.make(id, config={...}, render_mode=...)`. `config` is merged deeply over the preset of the id ([all
     keys](#configuration-keys)); an unknown key is refused with the nearest one. `lanebound envs ID --json` prints the
     whole configuration of an id. `render_mode` is `"rgb_array"`, `"human"` or None. Groups of keys: `observation`,
-    `reward` and `cost` (contents, weights, parameters), `navigation` and `navigator` (position), `perception` (other
-    vehicles), `actuators` (limits of steering; None for highway-env's own) and `world` (keys of the wrapped world).
+    `reward` and `cost` (contents, weights, parameters), `cost_limit` and `cost_limits` (of an episode, for learners and
+    metrics), `navigation` and `navigator` (position), `perception` (other vehicles), `actuators` (limits of steering;
+    None for highway-env's own) and `world` (keys of the wrapped world).
 
     ## Version History
     * v0: first version.

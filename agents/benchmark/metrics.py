@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Literal
 
-from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, Outcome
-from lanebound.envs.costs import CAUSES
+from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, MANOEUVRE_S, TTA_S, Outcome
+from lanebound.envs.costs import CAUSES, GROUPS
 from lanebound.integrity.positioning.modes import Mode
 
 __all__ = [
@@ -91,6 +91,26 @@ def _cause(cause: str) -> Metric:
     return Metric(cause, title, "", "lower", "unweighted sum of the cost", _driven(lambda o: o.costs.get(cause, 0.0)))
 
 
+def _over(group: str) -> Metric:
+    """Whether the weighted costs of a group exceeded their own limit; None where they have none."""
+    causes = " and ".join(GROUPS[group])
+    return _rate(
+        f"over_{group}_limit",
+        f"over {group} limit",
+        "lower",
+        f"the weighted {causes} exceeded cost_limits.{group}",
+        _driven(lambda o: float(o.group_costs[group] > o.cost_limits[group]) if group in o.cost_limits else None),
+    )
+
+
+def _within_all_limits(outcome: Outcome) -> float | None:
+    """Whether the cost and each group with a limit kept to theirs; None where there is no limit of a group."""
+    if outcome.cost_limit is None or not outcome.cost_limits:
+        return None
+    groups = (outcome.group_costs[group] <= limit for group, limit in outcome.cost_limits.items())
+    return float(outcome.cost <= outcome.cost_limit and all(groups))
+
+
 def _mode(mode: Mode) -> Metric:
     better: Better = "higher" if mode is Mode.RTK else None
     meaning = "share of steps with this mode"
@@ -131,6 +151,10 @@ SAFETY = (
     _rate("success_within_limit", "success within limit", "higher",
           "success at a cost of at most cost_limit; compare it together with the mean speed",
           lambda o: None if o.cost_limit is None else float(o.success and o.cost <= o.cost_limit)),
+    *map(_over, GROUPS),
+    _rate("within_all_limits", "within all limits", "higher",
+          "the cost was at most cost_limit, and each group of causes at most its limit in cost_limits",
+          _driven(_within_all_limits)),
     _rate("failed", "failed", "lower", "the agent failed", lambda o: float(o.failed)),
 )
 REWARD = (
@@ -158,6 +182,9 @@ INTEGRITY = (
     _share("no_level", "no level", "lower", "share of steps without a protection level on either axis"),
     _plain("pe_at_median", "error AT", "m", "lower", "median error along (at) and across (ct)", "pe_at_median_m"),
     _plain("pe_ct_median", "error CT", "m", "lower", "median error along (at) and across (ct)", "pe_ct_median_m"),
+    *(_plain(f"pe_{axis}_p{share}", f"error {axis.upper()} {share} %", "m", "lower",
+             f"{share} % quantile of the error along (at) and across (ct)", f"pe_{axis}_p{share}_m")
+      for share in (75, 95) for axis in ("at", "ct")),
     _plain("pe_at_max", "max error AT", "m", "lower", "largest error along (at) and across (ct)", "pe_at_max_m"),
     _plain("pe_ct_max", "max error CT", "m", "lower", "largest error along (at) and across (ct)", "pe_ct_max_m"),
     _share("availability", "availability", "higher", "share of steps with no level above its limit"),
@@ -172,11 +199,21 @@ INTEGRITY = (
     _plain("time_to_alert", "time to alert", "s", "lower",
            "mean time from an error above its limit to the alert; if no alert comes, to the end of that error",
            "time_to_alert_s"),
+    _plain("time_to_alert_max", "latest alert", "s", "lower",
+           "the same of the latest alert, which the TTA of S3 II.A limits", "time_to_alert_max_s"),
+    _plain("integrity_failures", "integrity failures", "", "lower",
+           f"number of errors above their limits for longer than {TTA_S:g} s without an alert (S3 II.C)"),
     _plain("missed_alerts", "missed alerts", "", "lower",
            "number of errors above their limits that ended without an alert"),
     _any("any_missed", "any missed alert", "any missed alert", "missed_alerts"),
     _share("continuity", "continuity", "higher",
            "share of available steps after which the next one is available; 0 without any"),
+    _share("manoeuvre_continuity", "manoeuvre continuity", "higher",
+           f"probability that no alert comes within a manoeuvre of {MANOEUVRE_S:g} s that begins without one, over "
+           "manoeuvres that begin at any step (S3 II.A)"),
+    _plain("first_fix", "first fix", "s", "lower",
+           "time to the first position by satellites (RTK, code or a service); without one, the time of the episode",
+           "first_fix_s"),
     *(_mode(mode) for mode in Mode if not mode.is_service),
     _share("share_service", "service share", None,
            "share of steps with the position of a service other than RTK from one station",

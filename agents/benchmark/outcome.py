@@ -9,12 +9,18 @@ from typing import Any, Literal, NamedTuple
 from lanebound.agents.episodes.guard import Failing
 from lanebound.agents.serialization import finite_or_none
 
-__all__ = ["LEVEL_MAX_M", "OK", "WALL_CLOCK", "Outcome", "Place", "Status", "Task"]
+__all__ = ["LEVEL_MAX_M", "MANOEUVRE_S", "OK", "PARTS", "TTA_S", "WALL_CLOCK", "Outcome", "Place", "Status", "Task"]
 
 Status = Literal["ok"] | Failing
 OK: Status = "ok"
 LEVEL_MAX_M = 10.0
 """Protection levels above it, and missing ones, count as this, as observations show them by default."""
+TTA_S = 1.0
+"""Longest time allowed from the onset of a failure to its alert (S3 II.A); as ``alert.time_to_alert_s`` by default."""
+MANOEUVRE_S = 5.0
+"""Length of the manoeuvres of which continuity is measured: a lane change in traffic takes 3 to 5 s; chosen."""
+PARTS = {"costs": "", "mode_shares": "share_", "cost_limits": "cost_limit_", "group_costs": "group_cost_"}
+"""Attributes that are mappings, and how their keys begin in a row of a table."""
 WALL_CLOCK = ("solve_ms_median", "solve_ms_p99")
 
 
@@ -60,19 +66,25 @@ class Outcome:
     throughput_mps : distance over the time taken, or over the longest possible time in an episode without success
     gap_m : median true gap between bumpers to the vehicle ahead in the lane within 100 m
     total_return, cost, costs, cost_limit : sum of rewards, weighted sum of costs, unweighted sums by cause, limit
+    cost_limits, group_costs : limits of the groups of causes that have one, and the weighted sums of these groups
     success, collision : the episode ended well; the true car crashed
     lane_departure : the true body left its lane outside commanded lane changes
     rms_acceleration_mps2, rms_jerk_mps3, rms_lateral_mps2 : of the true car, from decision to decision
     mode_shares : share of steps by positioning mode
     pl_at_median_m, pl_ct_median_m : protection levels; those above 10 m or missing count as 10 m
     no_level : share of steps without a protection level on either axis
-    pe_at_median_m, pe_ct_median_m, pe_at_max_m, pe_ct_max_m : absolute errors along and across the track
+    pe_at_median_m, pe_at_p75_m, pe_at_p95_m, pe_at_max_m : absolute errors along the track; `pe_ct_...` across it
     availability, alert_share, alerts : shares of steps; number of alerts
     mi_steps, hmi_steps : steps with misleading but not hazardous, and with hazardously misleading information
     time_to_alert_s : mean time from an error above its alert limit to the alert; if no alert comes, to the end of that
         error; None when no error was above its limit
+    time_to_alert_max_s : the same of the latest alert
     missed_alerts : number of errors above their limits that ended without an alert
+    integrity_failures : number of errors above their limits that lasted longer than TTA_S without an alert (S3 II.C)
     continuity : share of available steps after which the next one is available; 0 without any
+    manoeuvre_continuity : of the steps without an alert and MANOEUVRE_S before the end at least, the share after which
+        no alert comes for as long (S3 II.A); None without such a step
+    first_fix_s : time to the first position by satellites; without one, the time of the episode
     solve_ms_median, solve_ms_p99 : time of a decision [ms]
     infeasible, relaxed : decisions without a command that meets the agent's constraints, and decisions for which it
         weakened one; None for agents that do not count them
@@ -97,6 +109,8 @@ class Outcome:
     cost: float = 0.0
     costs: dict[str, float] = field(default_factory=dict)
     cost_limit: float | None = None
+    cost_limits: dict[str, float] = field(default_factory=dict)
+    group_costs: dict[str, float] = field(default_factory=dict)
     success: bool = False
     collision: bool = False
     lane_departure: bool = False
@@ -109,6 +123,10 @@ class Outcome:
     no_level: float | None = None
     pe_at_median_m: float | None = None
     pe_ct_median_m: float | None = None
+    pe_at_p75_m: float | None = None
+    pe_ct_p75_m: float | None = None
+    pe_at_p95_m: float | None = None
+    pe_ct_p95_m: float | None = None
     pe_at_max_m: float | None = None
     pe_ct_max_m: float | None = None
     availability: float | None = None
@@ -117,8 +135,12 @@ class Outcome:
     mi_steps: int = 0
     hmi_steps: int = 0
     time_to_alert_s: float | None = None
+    time_to_alert_max_s: float | None = None
     missed_alerts: int = 0
+    integrity_failures: int | None = None
     continuity: float | None = None
+    manoeuvre_continuity: float | None = None
+    first_fix_s: float | None = None
     solve_ms_median: float | None = None
     solve_ms_p99: float | None = None
     infeasible: int | None = None
@@ -148,10 +170,11 @@ class Outcome:
         return {key: value for key, value in self.to_dict().items() if key not in WALL_CLOCK}
 
     def flat(self) -> dict[str, Any]:
-        """One row of a table: ``id`` first, costs by cause, shares of the modes as ``share_rtk`` and so on."""
+        """One row of a table: ``id`` first, costs by cause, shares of the modes as ``share_rtk``, and so on."""
         data = self.to_dict()
-        costs, shares = data.pop("costs"), data.pop("mode_shares")
-        return {"id": self.id, **data, **costs, **{f"share_{mode}": share for mode, share in shares.items()}}
+        parts = {name: data.pop(key) for key, name in PARTS.items()}
+        named = {name + key: value for name, part in parts.items() for key, value in part.items()}
+        return {"id": self.id, **data, **named}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Outcome:

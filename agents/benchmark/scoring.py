@@ -9,20 +9,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, Outcome, Place, Task
+from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, MANOEUVRE_S, TTA_S, Outcome, Place, Task
+from lanebound.envs.config import EnvConfig
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.assessment.events import alert_delays
+from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["UNNAMED", "outcome_of", "outcome_of_statistics"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Row = Mapping[str, Any]
+ROUNDING_S = 1e-9  # times are sums of steps
 ENDINGS = (("crashed", "collision"), ("off_road", "off road"), ("wrong_way", "wrong way"))
 UNNAMED = Task(Place("", "", ""), "", 0)
 
 
-def outcome_of(rows: Sequence[Row], allotted_s: float, task: Task = UNNAMED, **more: Any) -> Outcome:
+def outcome_of(
+    rows: Sequence[Row], allotted_s: float, task: Task = UNNAMED, config: EnvConfig | None = None, **more: Any
+) -> Outcome:
     """The outcome of an episode.
 
     Parameters
@@ -30,22 +35,29 @@ def outcome_of(rows: Sequence[Row], allotted_s: float, task: Task = UNNAMED, **m
     rows : of one episode, its start first; empty where the agent failed before
     allotted_s : longest time of the episode [s]
     task : names of the outcome
+    config : of the environment, for the limits of costs; None: without limits
     more : further attributes of the outcome
     """
     figures = {"allotted_s": allotted_s, **_totals(rows), **_figures(rows, allotted_s)} if rows else {}
+    if config is not None:
+        figures |= _limits(config, figures.get("costs", {}))
     made = Outcome(*task.place, task.agent, task.seed, **{"allotted_s": allotted_s, **figures, **more})
     return Outcome.from_dict(made.to_dict())
 
 
-def outcome_of_statistics(info: Mapping[str, Any], statistics: Mapping[str, Any], task: Task, **more: Any) -> Outcome:
+def outcome_of_statistics(
+    info: Mapping[str, Any], statistics: Mapping[str, Any], task: Task, config: EnvConfig, **more: Any
+) -> Outcome:
     """The outcome of an episode without rows; the way is the mean true speed times the time.
 
     Parameters
     ----------
     info : of the last step
     statistics : sums and means over the episode, as ``episode_integrity`` in ``info``
-    more : further attributes: ``time_s``, ``allotted_s``, ``cost_limit``
+    config : of the environment, for the limits of costs
+    more : further attributes: ``time_s``, ``allotted_s``
     """
+    costs = {cause: statistics[cause] for cause in CAUSES}
     success, time_s = bool(info["is_success"]), more["time_s"]
     taken_s = time_s if success else max(more["allotted_s"], time_s)
     return Outcome(
@@ -57,7 +69,7 @@ def outcome_of_statistics(info: Mapping[str, Any], statistics: Mapping[str, Any]
         throughput_mps=statistics["speed_mean_mps"] * time_s / taken_s,
         total_return=statistics["return"],
         cost=statistics["cost"],
-        costs={cause: statistics[cause] for cause in CAUSES},
+        costs=costs,
         success=success,
         collision=bool(info["crashed"]),
         lane_departure=statistics["cost_lane"] > 0.0,
@@ -67,8 +79,15 @@ def outcome_of_statistics(info: Mapping[str, Any], statistics: Mapping[str, Any]
         alerts=statistics["alerts"],
         mi_steps=statistics["mi_steps"],
         hmi_steps=statistics["hmi_steps"],
-        **more,
+        **{**_limits(config, costs), **more},
     )
+
+
+def _limits(config: EnvConfig, costs: Mapping[str, float]) -> dict[str, Any]:
+    """Limits of costs, and the weighted sums of the groups that have one; ``costs``: unweighted sums by cause."""
+    limits = config.cost_limits.given
+    groups = {group: config.cost.of_group(group, costs) for group in limits}
+    return {"cost_limit": config.cost_limit, "cost_limits": limits, "group_costs": groups}
 
 
 def _totals(rows: Sequence[Row]) -> dict[str, Any]:
@@ -117,6 +136,7 @@ def _figures(rows: Sequence[Row], allotted_s: float) -> dict[str, Any]:
         **_comfort(rows),
         **_integrity(rows[1:]),
         **_alerts(rows),
+        "first_fix_s": _first_fix_s(rows),
     }
 
 
@@ -165,6 +185,8 @@ def _integrity(rows: Sequence[Row]) -> dict[str, Any]:
         found |= {
             f"pl_{axis}_median_m": float(np.quantile(np.minimum(level, LEVEL_MAX_M), 0.5, method="higher")),
             f"pe_{axis}_median_m": float(np.median(error)),
+            f"pe_{axis}_p75_m": float(np.percentile(error, 75.0)),
+            f"pe_{axis}_p95_m": float(np.percentile(error, 95.0)),
             f"pe_{axis}_max_m": float(error.max()),
         }
     available = _flags(rows, "available")
@@ -186,8 +208,31 @@ def _alerts(rows: Sequence[Row]) -> dict[str, Any]:
     return {
         "alerts": int(alert[0]) + int((alert[1:] & ~alert[:-1]).sum()),
         "time_to_alert_s": float(delay_s.mean()) if delay_s.size else None,
+        "time_to_alert_max_s": float(delay_s.max()) if delay_s.size else None,
         "missed_alerts": int(missed.sum()),
+        "integrity_failures": int((delay_s > TTA_S + ROUNDING_S).sum()),
+        "manoeuvre_continuity": _manoeuvre_continuity(time_s[1:], alert),
     }
+
+
+def _manoeuvre_continuity(time_s: Array, alert: Bools) -> float | None:
+    """Of all steps without an alert, so long before the end, the share after which none comes for MANOEUVRE_S.
+
+    It is the probability of S3 II.A that the performance is maintained for the duration of a phase of operation, given
+    that it was available at its beginning, over manoeuvres that begin at any moment.
+    """
+    ends = np.searchsorted(time_s, time_s + MANOEUVRE_S - ROUNDING_S)  # first step at the end of the manoeuvre or later
+    begun = np.flatnonzero(~alert & (ends < time_s.size))
+    if not begun.size:
+        return None
+    before = np.append(0, np.cumsum(alert))  # number of steps with an alert before each
+    return float((before[ends[begun] + 1] == before[begun]).mean())
+
+
+def _first_fix_s(rows: Sequence[Row]) -> float:
+    """Time of the first row with a position by satellites; without one, that of the last: as long at least."""
+    fixes = {mode.key for mode in Mode if mode.is_service or mode in (Mode.RTK, Mode.CODE)}
+    return float(next((row["time_s"] for row in rows if row["mode"] in fixes), rows[-1]["time_s"]))
 
 
 def _failures(rows: Sequence[Row], time_s: Array) -> tuple[Array, Array, Array]:

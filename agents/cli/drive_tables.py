@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["measures", "position_of", "print_report", "unused"]
 
 WEIGHTED = "cost, weighted"
+GROUP = "group_cost_"
 MEANT = (
     "Success: no crash, still on the road, fast enough; it does not depend on cost.\n"
     "Harm: 50 for a crash or an end off the road, and m2 of the body beyond its lane."
@@ -52,11 +53,15 @@ def print_report(
     columns = ("seed", "ended by", "time [s]", "return", "cost", "success", "available", "HMI")
     print_table(f"{who}: {counted(len(outcomes), 'episode')}", columns, map(_line, outcomes))
     if position:
-        head = ("axis", *(name.removesuffix("_m").replace("_", " ") for name in next(iter(position.values()))))
-        rows = [(axis, *map(_metres, found.values())) for axis, found in position.items()]
-        print_table("Errors and protection levels of the ego's position [m]", head, rows)
+        figures = zip(*(found.items() for found in position.values()), strict=True)
+        rows = [
+            (pairs[0][0].removesuffix("_m").replace("_", " "), *(_metres(m) for _, m in pairs)) for pairs in figures
+        ]
+        print_table("Errors and protection levels of the ego's position [m]", ("figure", *position), rows)
     over = "" if len(outcomes) == 1 else f", means over {len(outcomes)} episodes"
-    lines = ((*_label(key), _value(key, value, limit)) for key, value in measures(outcomes, services).items())
+    limits = {"cost": limit} | {GROUP + name: own for name, own in outcomes[0].cost_limits.items()}
+    found = measures(outcomes, services).items()
+    lines = ((*_label(key), _value(value, limits.get(key))) for key, value in found)
     print_table(f"Measures{over}", ("measure", "unit", "value"), lines)
     typer.echo(MEANT)
     for what, path in written.items():
@@ -85,6 +90,7 @@ def position_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float 
         found[name] = {
             "error_mean_m": float(error.mean()),
             "error_median_m": float(np.median(error)),
+            **{f"error_p{share}_m": float(np.percentile(error, share)) for share in (75, 95)},
             "error_max_m": float(error.max()),
             "PL_median_m": quantile(level, 0.5),
             "PL_p95_m": quantile(level, 0.95),
@@ -116,7 +122,7 @@ def measures(outcomes: Sequence[Outcome], services: Sequence[str] = ()) -> dict[
     from lanebound.agents.benchmark.metrics import harm_of
     from lanebound.envs.costs import CAUSES
 
-    steps = np.array([o.steps for o in outcomes], dtype=np.float64)
+    steps, first = np.array([o.steps for o in outcomes], dtype=np.float64), outcomes[0]
     weight = steps / max(float(steps.sum()), 1.0)
 
     def mean(name: str) -> float:
@@ -133,6 +139,7 @@ def measures(outcomes: Sequence[Outcome], services: Sequence[str] = ()) -> dict[
         "harm": float(np.mean([harm_of(o) for o in outcomes])),
         "cost": mean("cost"),
         **{cause: float(np.mean([o.costs[cause] for o in outcomes])) for cause in CAUSES},
+        **{f"{GROUP}{name}": float(np.mean([o.group_costs[name] for o in outcomes])) for name in first.cost_limits},
         **{f"share of {mode}": of_steps([o.mode_shares.get(mode, 0.0) for o in outcomes]) for mode in modes},
         "availability": of_steps([o.availability for o in outcomes]),
         "alert share": of_steps([o.alert_share for o in outcomes]),
@@ -142,21 +149,23 @@ def measures(outcomes: Sequence[Outcome], services: Sequence[str] = ()) -> dict[
 
 
 def _label(measure: str) -> tuple[str, str]:
-    """A measure and its unit: the cost is a weighted sum, its causes are unweighted."""
+    """A measure and its unit: the cost and its groups are weighted sums, its causes are unweighted."""
     from lanebound.envs.info import INFO
 
     if measure == "cost":
         return WEIGHTED, ""
+    if measure.startswith(GROUP):
+        return f"{measure}, weighted", ""
     if measure.startswith("cost_"):
         _, bracket, unit = INFO[measure].rpartition("[")
         return f"{measure}, unweighted", unit.rstrip("]") if bracket else ""
     return measure, "steps" if measure.endswith("steps") else ""
 
 
-def _value(measure: str, value: float, limit: float | None) -> str:
-    """A value in three decimals; the cost next to its limit."""
+def _value(value: float, limit: float | None) -> str:
+    """A value in three decimals; a cost next to its limit."""
     text = f"{round(value, 3):g}"
-    return f"{text}, {_against(value, limit)}" if measure == "cost" and limit else text
+    return f"{text}, {_against(value, limit)}" if limit else text
 
 
 def _against(cost: float, limit: float) -> str:

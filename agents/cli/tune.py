@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
-from lanebound.agents.cli.options import Cores, EnvId, Plugins
+from lanebound.agents.cli.early import known_skies
+from lanebound.agents.cli.options import AsJson, Assignments, Cores, EnvId, Jobs, Plugins, changes
 
 __all__ = ["app"]
 
@@ -60,3 +61,40 @@ def growth(
 
     chosen = tuple(skies or ("urban", "dense"))
     print_json(fit_growth(*with_bar("episodes", lambda on_progress: measure_growth(names, chosen, seeds, on_progress))))
+
+
+@app.command("limits")
+def limits(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for results.json; a run is resumed there.")],
+    env: Annotated[
+        list[str] | None,
+        typer.Option("--env", metavar="ID", help="This id alone; may be repeated. All eight otherwise."),
+    ] = None,
+    sky: Annotated[
+        list[str] | None,
+        typer.Option("--sky", help="Preset of the sky; may be repeated. Otherwise that of each id, and urban."),
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=2, help="Episodes of each, of training seeds; by default 24.")
+    ] = None,
+    page: Annotated[Path | None, typer.Option(metavar="FILE.md", help="Page whose tables are written anew.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    _plugins: Plugins = None,
+    as_json: AsJson = False,
+) -> None:
+    """Limits of an episode's cost and of each group: what integrity_aware keeps in 70 % of its episodes, rounded up.
+
+    Example: lanebound tune limits --out out/cost-limits --env LaneKeeping --seeds 12
+    """
+    from lanebound.agents.cli.output import show_study
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.report.pages import require_page
+    from lanebound.agents.studies.cost_limits import SECTIONS, CostLimitsConfig, tables, tune_cost_limits
+
+    if page is not None:
+        require_page(page, SECTIONS)
+    config = CostLimitsConfig.load(changes(assignments, envs=env, skies=known_skies(sky), seeds=seeds))
+    with resumable(lambda: kept_text(out, "parts/*.json", "id and sky")):
+        found = with_bar("ids and skies", lambda on_progress: tune_cost_limits(config, out, jobs, on_progress))
+    show_study(found, tables(found), out, page, as_json)

@@ -19,13 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator
 
-from lanebound.agents.benchmark.suite import SPLITS
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.report.pages import Table
+from lanebound.agents.studies.first_episodes import first_episodes
 from lanebound.envs.alert_limits import AlertLimit
 from lanebound.envs.vector.env import engines
 from lanebound.integrity.core.config import Config, Field, deep_merge
@@ -56,7 +55,6 @@ DIRECTIONS = {
 }
 ERRORS = ("below", "above")
 ALONG, ACROSS = ("ahead", "behind"), ("right", "left")
-TAKEN = ("cost", "crashed", "alert", "al_at_m", "al_ct_m")
 LOWEST = 0.01  # quantile over decisions: a limit dips for moments where lanes meet
 
 
@@ -155,26 +153,15 @@ def _costs(drive: Drive) -> dict[str, float]:
 def _drive(config: AlertLimitsConfig, env: str, changes: Mapping[str, Any]) -> Drive:
     """Episodes of the driver, in the engine all at once."""
     count, given = config.seeds, deep_merge(deep_merge(ALONE, {"observation": {"form": "flat"}}), changes)
-    kind = engines()[full_id(env)]
     costs, crashed = np.zeros(count), np.zeros(count)
     rows: list[tuple[Array, Array, Array]] = []
     alerts: list[Array] = []
-    with closing(kind(count, given, "SameStep")) as envs, closing(kind.KIND(given)) as single:
-        driver: Any = make_agent(config.driver, single)
-        observations, _ = envs.reset(seed=SPLITS["train"][0])
-        going, state, start = np.ones(count, dtype=np.bool_), None, np.ones(count, dtype=np.bool_)
-        while going.any():
-            actions, state = driver.predict(observations, state=state, episode_start=start, deterministic=True)
-            observations, _, terminated, truncated, infos = envs.step(actions)
-            start = terminated | truncated
-            ended = infos.get("final_info", infos)
-            last = {key: np.where(start, ended[key], infos[key]) for key in TAKEN}
-            costs += np.where(going, last["cost"], 0.0)
-            crashed = np.where(going, last["crashed"], crashed)
-            on = going & ~start  # at an end the belief is that of the next episode already
-            alerts.append(last["alert"][going])
-            rows.append((last["al_at_m"][going], last["al_ct_m"][going], _aside(envs)[on]))
-            going &= ~start
+    for infos, going, over, envs in first_episodes(env, given, config.driver, count):
+        costs += np.where(going, infos["cost"], 0.0)
+        crashed = np.where(going, infos["crashed"], crashed)
+        on = going & ~over  # at an end the belief is that of the next episode already
+        alerts.append(infos["alert"][going])
+        rows.append((infos["al_at_m"][going], infos["al_ct_m"][going], _aside(envs)[on]))
     limits = (np.concatenate(column) for column in zip(*rows, strict=True))
     return Drive(costs, crashed, float(np.concatenate(alerts).mean()), *limits)
 

@@ -224,7 +224,13 @@ def test_measures_weigh_episodes_by_steps_where_shares_are_of_steps():
         return outcome_of([row | {"step": k, "time_s": 0.2 * k, **given} for k in range(steps + 1)], 1.0)
 
     short, long = episode(1, available=True, mode="rtk"), episode(3, available=False, mode="doppler")
+    for outcome in (short, long):
+        outcome.cost_limits["lane"], outcome.group_costs["lane"] = 2.0, float(outcome.steps)
     found = tables.measures([short, long])
+    assert found["group_cost_lane"] == 2.0
+    assert (tables._label("group_cost_lane"), tables._value(2.0, 2.0)) == (
+        ("group_cost_lane, weighted", ""), "2, within the limit 2",
+    )  # fmt: skip
     assert (short.ended, short.steps, long.steps) == ("collision", 1, 3)
     assert found["availability"] == found["share of rtk"] == pytest.approx(0.25)
     assert found["HMI steps"] == 4.0
@@ -239,7 +245,8 @@ def test_position_of_a_log_counts_decisions_and_missing_levels():
     steps[0] |= {"pl_ct_m": math.inf, "step": 2}
     found = tables.position_of([start, *steps])
     assert found["along"] == {
-        "error_mean_m": 1.5, "error_median_m": 1.0, "error_max_m": 3.0, "PL_median_m": 4.0, "PL_p95_m": 4.0,
+        "error_mean_m": 1.5, "error_median_m": 1.0, "error_p75_m": 1.5, "error_p95_m": pytest.approx(2.7),
+        "error_max_m": 3.0, "PL_median_m": 4.0, "PL_p95_m": 4.0,
         "AL_m": 1.5,
     }  # fmt: skip
     assert found["across"]["PL_median_m"] == 0.5

@@ -9,9 +9,11 @@ import pytest
 from benchmarks import made_up_outcome, made_up_rows, made_up_suite
 
 from lanebound.agents.benchmark.metrics import metric_named
-from lanebound.agents.benchmark.outcome import LEVEL_MAX_M
+from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, MANOEUVRE_S
 from lanebound.agents.benchmark.scoring import outcome_of, outcome_of_statistics
 from lanebound.agents.learning.evaluation import JUDGED
+from lanebound.envs import make_config
+from lanebound.envs.costs import GROUPS
 from lanebound.envs.episode_totals import EpisodeTotals
 from lanebound.envs.observation.config import ObservationConfig
 from lanebound.integrity.positioning.modes import Mode
@@ -92,6 +94,46 @@ def test_an_alert_that_never_comes_is_later_than_any_that_comes():
     assert (nothing.time_to_alert_s, nothing.missed_alerts) == (None, 0)
 
 
+def test_the_latest_alert_and_failures_longer_than_the_time_to_alert():
+    """Two errors above their limits: one is alerted after 0.4 s, one never ends within 1.2 s; a third lasts 1 s."""
+    over = [0, 1, 1, 1, 0, 1, 1, 1, 1, 1, 1, 0, 1, 1, 1, 1, 1, 0]
+    alert = [False, False, False, True, *[False] * 14]
+    found = outcome_of(rows(17, err_at_m=[2.0 * x for x in over], alert=alert), 5.0)
+    assert found.time_to_alert_s == pytest.approx(np.mean([0.4, 1.2, 1.0]))
+    assert found.time_to_alert_max_s == pytest.approx(1.2)
+    assert (found.missed_alerts, found.integrity_failures) == (2, 1)
+    late = outcome_of(rows(17, err_at_m=[2.0 * x for x in over], alert=[k == 12 for k in range(18)]), 5.0)
+    assert (late.missed_alerts, late.integrity_failures) == (2, 1)
+    assert outcome_of(rows(17), 5.0).integrity_failures == 0
+
+
+def test_continuity_is_that_of_manoeuvres_that_begin_without_an_alert():
+    """Steps 1 to 60 of 0.2 s; an alert at step 41 is within 5 s of steps 16 to 40, and 35 is the last to begin at."""
+    alert = [k == 41 for k in range(61)]
+    assert MANOEUVRE_S == 5.0
+    found = outcome_of(rows(60, alert=alert, available=True), 12.0)
+    assert found.manoeuvre_continuity == pytest.approx(15 / 35)
+    at_the_start = [k <= 5 for k in range(61)]  # these steps begin no manoeuvre, and no other meets an alert
+    assert outcome_of(rows(60, alert=at_the_start), 12.0).manoeuvre_continuity == 1.0
+    assert outcome_of(rows(60, alert=True), 12.0).manoeuvre_continuity is None
+    assert outcome_of(rows(24, alert=False), 12.0).manoeuvre_continuity is None, "too short for a manoeuvre"
+
+
+def test_the_first_fix_is_the_first_position_by_satellites():
+    modes = ["imu_odometer", "doppler", "doppler", "sbas_l1", "rtk"]
+    assert outcome_of(rows(4, mode=modes), 1.0).first_fix_s == pytest.approx(3 * DT_S)
+    assert outcome_of(rows(4, mode=["rtk", *modes[1:]]), 1.0).first_fix_s == 0.0
+    assert outcome_of(rows(4, mode="doppler"), 1.0).first_fix_s == pytest.approx(4 * DT_S), "as long at least"
+
+
+def test_errors_are_given_at_50_75_and_95_percent():
+    """Of 101 errors of 0 to 10 m in steps of 0.1 m the quantiles are their shares."""
+    errors = np.random.default_rng(2).permutation(np.linspace(0.0, 10.0, 101)) * np.resize([1.0, -1.0], 101)
+    found = outcome_of(rows(101, err_ct_m=[99.0, *errors.tolist()]), 30.0)
+    assert (found.pe_ct_median_m, found.pe_ct_p75_m, found.pe_ct_p95_m) == pytest.approx((5.0, 7.5, 9.5))
+    assert metric_named("pe_ct_p95").take(found) == pytest.approx(9.5)
+
+
 def test_departures_are_those_of_the_true_body():
     assert outcome_of(rows(3, cost_lane=[0.0, 0.0, 1e-3, 0.0]), 1.0).lane_departure
     assert not outcome_of(rows(3), 1.0).lane_departure
@@ -105,14 +147,42 @@ def test_an_agent_that_fails_at_once_has_no_shares():
 def test_statistics_of_the_engine_give_the_metrics_of_rows():
     """Without the rows the way is the speed times the time."""
     driven = rows(50, speed_mps=10.0, true_y_m=0.0, cost_lane=[0.0] * 40 + [0.1] * 11, cost=0.5, crashed=True)
-    wanted = outcome_of(driven, 40.0, cost_limit=15.0)
+    config = make_config("lanebound/LaneKeeping-v0", {"cost_limits": dict.fromkeys(GROUPS, 1.0)})
+    wanted = outcome_of(driven, 40.0, config=config)
     totals = EpisodeTotals(1)
     for row in driven[1:]:
         totals.add(row["reward"], row | {"mode": int(next(mode for mode in Mode if mode.key == row["mode"]))})
     statistics = totals.report(0, True)
-    more = {"time_s": wanted.time_s, "allotted_s": 40.0, "cost_limit": 15.0}
-    found = outcome_of_statistics(driven[-1], statistics, wanted.task, **more)
+    more = {"time_s": wanted.time_s, "allotted_s": 40.0}
+    found = outcome_of_statistics(driven[-1], statistics, wanted.task, config, **more)
     for key in JUDGED:
         metric = metric_named(key)
         extra = wanted.cost / 51 if key == "cost" else 0.0  # of the start, which statistics leave out
         assert metric.take(found) + extra == pytest.approx(metric.take(wanted)), key
+
+
+def test_costs_of_groups_are_held_against_their_limits():
+    """3 steps of 1 m2 beyond the lane at a weight of 2 are 6; the levels beyond it add 3 x 4 at a weight of 0.5."""
+    driven = rows(2, cost_lane=1.0, cost_lane_integrity=4.0, cost_alert=2.0, cost=5.0)
+    weights = {"lane": 2.0, "lane_integrity": 0.5, "alert": 0.25}
+
+    def taken(key: str, limit: float = 15.0, **limits: float) -> float | None:
+        changes = {"cost": weights, "cost_limit": limit, "cost_limits": limits}
+        return metric_named(key).take(outcome_of(driven, 1.0, config=make_config("lanebound/LaneKeeping-v0", changes)))
+
+    outcome = outcome_of(driven, 1.0, config=make_config("lanebound/Highway-v0", {"cost_limits": {"alert": 1.0}}))
+    assert (outcome.cost_limits, outcome.group_costs) == ({"alert": 1.0}, {"alert": 0.5 * 6.0})
+    assert outcome.flat()["cost_limit_alert"] == 1.0
+    assert outcome.flat()["group_cost_alert"] == 3.0
+    assert [taken("over_lane_limit", lane=limit) for limit in (11.9, 12.0)] == [1.0, 0.0]
+    assert [taken("over_alert_limit", alert=limit) for limit in (1.4, 1.5)] == [1.0, 0.0]
+    assert taken("over_hmi_limit", lane=1.0) is taken("over_lane_limit") is taken("within_all_limits") is None
+    assert taken("within_all_limits", lane=12.0, alert=1.5) == 1.0
+    assert taken("within_all_limits", lane=12.0, alert=1.4) == 0.0
+    assert taken("within_all_limits", limit=14.9, lane=12.0) == 0.0
+
+
+def test_an_agent_that_failed_kept_no_limit():
+    config = make_config("lanebound/LaneKeeping-v0", {"cost_limits": {"lane": 1.0}})
+    failed = outcome_of([], 1.0, config=config, status="raised")
+    assert metric_named("over_lane_limit").take(failed) is metric_named("within_all_limits").take(failed) is None
