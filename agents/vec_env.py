@@ -163,7 +163,7 @@ class EngineVecEnv(VecEnv):
         self._lengths += 1
         if self._totals is not None:
             self._totals.add(rewards, self.arrays)
-        columns = [infos[key].tolist() for key in self._keys]
+        columns = [list(infos[key]) if infos[key].ndim > 1 else infos[key].tolist() for key in self._keys]
         found = [dict(zip(self._keys, row, strict=True)) for row in zip(*columns, strict=True)]
         found = found or [{} for _ in range(self.num_envs)]
         ended = np.flatnonzero(over)
@@ -247,7 +247,10 @@ def _as_ended(infos: dict[str, Any], over: NDArray[np.bool_]) -> dict[str, Any]:
 
 
 def _mixed(ended: dict[str, Any], going_on: dict[str, Any], over: NDArray[np.bool_]) -> dict[str, Any]:
-    return {
-        name: _mixed(last, going_on[name], over) if isinstance(last, dict) else np.where(over, last, going_on[name])
-        for name, last in ended.items()
-    }
+    found: dict[str, Any] = {}
+    for name, last in ended.items():
+        if isinstance(last, dict):
+            found[name] = _mixed(last, going_on[name], over)
+        else:
+            found[name] = np.where(over if last.ndim == 1 else over[:, None], last, going_on[name])
+    return found

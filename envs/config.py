@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from lanebound.envs.actuators import ActuatorConfig
 from lanebound.envs.alert_limits import AlertLimit, BudgetConfig
-from lanebound.envs.costs import CostConfig
+from lanebound.envs.costs import GROUPS, CostConfig, CostLimits
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.observation import ObservationConfig
 from lanebound.envs.perception import PerceptionConfig
@@ -109,6 +109,7 @@ class EnvConfig(Config):
     reward: RewardConfig = Field(RewardConfig(), description="weights of the reward's terms")
     cost: CostConfig = Field(CostConfig(), description="weights and parameters of the costs")
     cost_limit: float = Field(10.0, ge=0, description="limit of an episode's cost; not enforced")
+    cost_limits: CostLimits = Field(CostLimits(), description="limits of parts of an episode's cost; not enforced")
     rendering: RenderingConfig = Field(RenderingConfig(), description="size and style of pictures")
 
     @classmethod
@@ -207,6 +208,18 @@ class EnvConfig(Config):
                 f"budget.most_m must be <= observation.pl_max_m = {self.observation.pl_max_m}, as far as limits are "
                 f"shown, got {self.budget.most_m}: raise pl_max_m or lower most_m"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _limited_costs_can_grow(self) -> Self:
+        # Every drive keeps a limit of costs that weigh nothing: it would seem to constrain and does not.
+        for group, limit in self.cost_limits.given.items():
+            if not self.cost.weights_of(group).any():
+                weights = " or ".join(f"cost.{cause.removeprefix('cost_')}" for cause in GROUPS[group])
+                raise ConfigError(
+                    f"cost_limits.{group} must be left out where its costs weigh 0, got {limit:g}: raise {weights}, or "
+                    "remove it"
+                )
         return self
 
     @model_validator(mode="after")

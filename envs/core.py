@@ -120,6 +120,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     - Ending an episode early by a crash or off the road exceeds every `cost_limit` but can cost less than a careless
       drive to the end (UrbanCanyon: 230 at once, `nominal` 221 or 355). Without a limit, costs may teach to end early.
     - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
+    - `cost_limits` adds limits of parts of that cost, each with the weights above, none by default and not enforced:
+      `lane` (`cost_lane` and `cost_lane_integrity`), `headway`, `conflict`, `alert` and `hmi` (the cause of that name).
 
     ## Info
     The same keys at reset and in each step. Known to the car:
@@ -151,6 +153,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `crashed_now`, `astray_now` | new in this step: a crash; off the road or against the traffic |
     | `is_success` | the episode ends well in this step |
     | `cost` and the causes above | weighted sum; unweighted causes |
+    | `costs` | the unweighted causes as one vector (9,), float64, in the order of `lanebound.envs.costs.CAUSES` |
     | `rewards` | unweighted terms |
 
     ## Starting State
@@ -187,6 +190,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `navigation.source` | `"navigator"`, `"perfect"` (true pose) or `"offset"` (true pose plus a constant error) |
     | `perception.source` | `"v2v"`, `"sensor"`, `"both"`, `"truth"` or `"none"` |
     | `observation`, `reward`, `cost` | contents and scales; weights and parameters of the formulas |
+    | `cost_limit`, `cost_limits` | limits of an episode's cost and of its parts, for learners and metrics |
     | `actuators` | limits of steering; None for highway-env's own |
     | `world` | keys of the wrapped world |
 

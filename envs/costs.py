@@ -1,16 +1,30 @@
-"""Weights of the costs, the constraints of an agent, and the figures of their formulas.
+"""Weights of the costs, the constraints of an agent, the figures of their formulas, and limits by group of causes.
 
 The formulas are in :mod:`lanebound.envs.batch.costs_kernel`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from lanebound.envs.batch.records_kernel import CAUSES
 from lanebound.integrity.core.config import Config
 
-__all__ = ["CAUSES", "CostConfig"]
+__all__ = ["CAUSES", "GROUPS", "CostConfig", "CostLimits"]
+
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "lane": ("cost_lane", "cost_lane_integrity"),
+    "headway": ("cost_headway",),
+    "conflict": ("cost_conflict",),
+    "alert": ("cost_alert",),
+    "hmi": ("cost_hmi",),
+}
+"""Groups of causes whose weighted sum over an episode may have a limit of its own. A crash, an end off the road and the
+warnings of the context monitor are in none: they count in the whole cost alone."""
 
 
 class CostConfig(Config):
@@ -44,3 +58,31 @@ class CostConfig(Config):
         ge=0,
         description="time allowed for a reaction to an alert [s]; chosen (the TTA of S3 II.A ends with the alert)",
     )
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each cause, by its name in ``info``, in the order of ``CAUSES``."""
+        return {cause: getattr(self, cause.removeprefix("cost_")) for cause in CAUSES}
+
+    def weights_of(self, group: str) -> NDArray[np.float64]:
+        """What ``info["costs"]`` is multiplied by for the part of ``info["cost"]`` that a group is, (C,)."""
+        return np.array([weight * (cause in GROUPS[group]) for cause, weight in self.weights.items()])
+
+    def of_group(self, group: str, costs: Mapping[str, float]) -> float:
+        """Weighted sum of the causes of a group; ``costs``: unweighted, by cause, those that lack are 0."""
+        return float(sum(self.weights[cause] * costs.get(cause, 0.0) for cause in GROUPS[group]))
+
+
+class CostLimits(Config):
+    """Limits of an episode's weighted costs by group, each within ``cost_limit`` of the whole; not enforced."""
+
+    lane: float | None = Field(None, ge=0, description="of cost_lane and cost_lane_integrity; None: none of its own")
+    headway: float | None = Field(None, ge=0, description="of cost_headway; None: none of its own")
+    conflict: float | None = Field(None, ge=0, description="of cost_conflict; None: none of its own")
+    alert: float | None = Field(None, ge=0, description="of cost_alert; None: none of its own")
+    hmi: float | None = Field(None, ge=0, description="of cost_hmi; None: none of its own")
+
+    @property
+    def given(self) -> dict[str, float]:
+        """The limits that are set, by group, in the order of ``GROUPS``."""
+        return {group: limit for group in GROUPS if (limit := getattr(self, group)) is not None}

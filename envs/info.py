@@ -22,6 +22,7 @@ __all__ = ["INFO", "InfoEntry", "info_entries", "register_info", "withdraw_info"
 
 INFO: dict[str, str] = {
     "cost": "weighted sum of the costs of this step",
+    "costs": "the cost_* of this step, unweighted, as one vector in the order of lanebound.envs.costs.CAUSES",
     "cost_collision": "1 in the step of a crash",
     "cost_off_road": "1 in the step that ends the episode off the road, or against the traffic",
     "cost_lane": "true body beyond its lane, times distance [m2]",

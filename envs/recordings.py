@@ -43,8 +43,8 @@ SEED = 2**31  # of the first recorded episode, beyond the seeds that users give
 AWAY_M = 20_000.0  # the ego stands there, beyond the end of a road
 ON_DISK = 40
 NOT_HEARD = (
-    "observation", "reward", "cost", "cost_limit", "rendering", "faults", "success_share", "success_behind_s",
-    "actuators", "keep_lane", "off_road_ends", "wrong_way_s",
+    "observation", "reward", "cost", "cost_limit", "cost_limits", "rendering", "faults", "success_share",
+    "success_behind_s", "actuators", "keep_lane", "off_road_ends", "wrong_way_s",
 )  # fmt: skip
 OF_EGO = ("source", "offset_at_m", "offset_ct_m", "jump_m", "smoothing_s")  # of ``navigation``
 

@@ -57,8 +57,8 @@ def run_episode(
         status, message = failure.status, str(failure)
     except Exception as error:
         status, message = "raised", f"in the environment: {error_text(error)}"
-    figures = {"cost_limit": env.config.cost_limit, **_solve_times(agent), **_counted(agent)}
-    return log.rows, outcome_of(log.rows, allotted_s(env), task, status=status, message=message, **figures)
+    figures = {"status": status, "message": message, **_solve_times(agent), **_counted(agent)}
+    return log.rows, outcome_of(log.rows, allotted_s(env), task, env.config, **figures)
 
 
 def seed_everything(seed: int) -> None:

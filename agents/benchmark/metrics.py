@@ -9,7 +9,7 @@ from operator import attrgetter
 from typing import Literal
 
 from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, Outcome
-from lanebound.envs.costs import CAUSES
+from lanebound.envs.costs import CAUSES, GROUPS
 from lanebound.integrity.positioning.modes import Mode
 
 __all__ = [
@@ -91,6 +91,26 @@ def _cause(cause: str) -> Metric:
     return Metric(cause, title, "", "lower", "unweighted sum of the cost", _driven(lambda o: o.costs.get(cause, 0.0)))
 
 
+def _over(group: str) -> Metric:
+    """Whether the weighted costs of a group exceeded their own limit; None where they have none."""
+    causes = " and ".join(GROUPS[group])
+    return _rate(
+        f"over_{group}_limit",
+        f"over {group} limit",
+        "lower",
+        f"the weighted {causes} exceeded cost_limits.{group}",
+        _driven(lambda o: float(o.group_costs[group] > o.cost_limits[group]) if group in o.cost_limits else None),
+    )
+
+
+def _within_all_limits(outcome: Outcome) -> float | None:
+    """Whether the cost and each group with a limit kept to theirs; None where there is no limit of a group."""
+    if outcome.cost_limit is None or not outcome.cost_limits:
+        return None
+    groups = (outcome.group_costs[group] <= limit for group, limit in outcome.cost_limits.items())
+    return float(outcome.cost <= outcome.cost_limit and all(groups))
+
+
 def _mode(mode: Mode) -> Metric:
     better: Better = "higher" if mode is Mode.RTK else None
     meaning = "share of steps with this mode"
@@ -131,6 +151,10 @@ SAFETY = (
     _rate("success_within_limit", "success within limit", "higher",
           "success at a cost of at most cost_limit; compare it together with the mean speed",
           lambda o: None if o.cost_limit is None else float(o.success and o.cost <= o.cost_limit)),
+    *map(_over, GROUPS),
+    _rate("within_all_limits", "within all limits", "higher",
+          "the cost was at most cost_limit, and each group of causes at most its limit in cost_limits",
+          _driven(_within_all_limits)),
     _rate("failed", "failed", "lower", "the agent failed", lambda o: float(o.failed)),
 )
 REWARD = (

@@ -15,6 +15,8 @@ Status = Literal["ok"] | Failing
 OK: Status = "ok"
 LEVEL_MAX_M = 10.0
 """Protection levels above it, and missing ones, count as this, as observations show them by default."""
+PARTS = {"costs": "", "mode_shares": "share_", "cost_limits": "cost_limit_", "group_costs": "group_cost_"}
+"""Attributes that are mappings, and how their keys begin in a row of a table."""
 WALL_CLOCK = ("solve_ms_median", "solve_ms_p99")
 
 
@@ -60,6 +62,7 @@ class Outcome:
     throughput_mps : distance over the time taken, or over the longest possible time in an episode without success
     gap_m : median true gap between bumpers to the vehicle ahead in the lane within 100 m
     total_return, cost, costs, cost_limit : sum of rewards, weighted sum of costs, unweighted sums by cause, limit
+    cost_limits, group_costs : limits of the groups of causes that have one, and the weighted sums of these groups
     success, collision : the episode ended well; the true car crashed
     lane_departure : the true body left its lane outside commanded lane changes
     rms_acceleration_mps2, rms_jerk_mps3, rms_lateral_mps2 : of the true car, from decision to decision
@@ -97,6 +100,8 @@ class Outcome:
     cost: float = 0.0
     costs: dict[str, float] = field(default_factory=dict)
     cost_limit: float | None = None
+    cost_limits: dict[str, float] = field(default_factory=dict)
+    group_costs: dict[str, float] = field(default_factory=dict)
     success: bool = False
     collision: bool = False
     lane_departure: bool = False
@@ -148,10 +153,11 @@ class Outcome:
         return {key: value for key, value in self.to_dict().items() if key not in WALL_CLOCK}
 
     def flat(self) -> dict[str, Any]:
-        """One row of a table: ``id`` first, costs by cause, shares of the modes as ``share_rtk`` and so on."""
+        """One row of a table: ``id`` first, costs by cause, shares of the modes as ``share_rtk``, and so on."""
         data = self.to_dict()
-        costs, shares = data.pop("costs"), data.pop("mode_shares")
-        return {"id": self.id, **data, **costs, **{f"share_{mode}": share for mode, share in shares.items()}}
+        parts = {name: data.pop(key) for key, name in PARTS.items()}
+        named = {name + key: value for name, part in parts.items() for key, value in part.items()}
+        return {"id": self.id, **data, **named}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Outcome:

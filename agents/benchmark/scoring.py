@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, Outcome, Place, Task
+from lanebound.envs.config import EnvConfig
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.assessment.events import alert_delays
 
@@ -22,7 +23,9 @@ ENDINGS = (("crashed", "collision"), ("off_road", "off road"), ("wrong_way", "wr
 UNNAMED = Task(Place("", "", ""), "", 0)
 
 
-def outcome_of(rows: Sequence[Row], allotted_s: float, task: Task = UNNAMED, **more: Any) -> Outcome:
+def outcome_of(
+    rows: Sequence[Row], allotted_s: float, task: Task = UNNAMED, config: EnvConfig | None = None, **more: Any
+) -> Outcome:
     """The outcome of an episode.
 
     Parameters
@@ -30,22 +33,29 @@ def outcome_of(rows: Sequence[Row], allotted_s: float, task: Task = UNNAMED, **m
     rows : of one episode, its start first; empty where the agent failed before
     allotted_s : longest time of the episode [s]
     task : names of the outcome
+    config : of the environment, for the limits of costs; None: without limits
     more : further attributes of the outcome
     """
     figures = {"allotted_s": allotted_s, **_totals(rows), **_figures(rows, allotted_s)} if rows else {}
+    if config is not None:
+        figures |= _limits(config, figures.get("costs", {}))
     made = Outcome(*task.place, task.agent, task.seed, **{"allotted_s": allotted_s, **figures, **more})
     return Outcome.from_dict(made.to_dict())
 
 
-def outcome_of_statistics(info: Mapping[str, Any], statistics: Mapping[str, Any], task: Task, **more: Any) -> Outcome:
+def outcome_of_statistics(
+    info: Mapping[str, Any], statistics: Mapping[str, Any], task: Task, config: EnvConfig, **more: Any
+) -> Outcome:
     """The outcome of an episode without rows; the way is the mean true speed times the time.
 
     Parameters
     ----------
     info : of the last step
     statistics : sums and means over the episode, as ``episode_integrity`` in ``info``
-    more : further attributes: ``time_s``, ``allotted_s``, ``cost_limit``
+    config : of the environment, for the limits of costs
+    more : further attributes: ``time_s``, ``allotted_s``
     """
+    costs = {cause: statistics[cause] for cause in CAUSES}
     success, time_s = bool(info["is_success"]), more["time_s"]
     taken_s = time_s if success else max(more["allotted_s"], time_s)
     return Outcome(
@@ -57,7 +67,7 @@ def outcome_of_statistics(info: Mapping[str, Any], statistics: Mapping[str, Any]
         throughput_mps=statistics["speed_mean_mps"] * time_s / taken_s,
         total_return=statistics["return"],
         cost=statistics["cost"],
-        costs={cause: statistics[cause] for cause in CAUSES},
+        costs=costs,
         success=success,
         collision=bool(info["crashed"]),
         lane_departure=statistics["cost_lane"] > 0.0,
@@ -67,8 +77,15 @@ def outcome_of_statistics(info: Mapping[str, Any], statistics: Mapping[str, Any]
         alerts=statistics["alerts"],
         mi_steps=statistics["mi_steps"],
         hmi_steps=statistics["hmi_steps"],
-        **more,
+        **{**_limits(config, costs), **more},
     )
+
+
+def _limits(config: EnvConfig, costs: Mapping[str, float]) -> dict[str, Any]:
+    """Limits of costs, and the weighted sums of the groups that have one; ``costs``: unweighted sums by cause."""
+    limits = config.cost_limits.given
+    groups = {group: config.cost.of_group(group, costs) for group in limits}
+    return {"cost_limit": config.cost_limit, "cost_limits": limits, "group_costs": groups}
 
 
 def _totals(rows: Sequence[Row]) -> dict[str, Any]:

@@ -188,7 +188,7 @@ def _drive(
         _draw(env, log, out, f"{name}, {agent}: {sky} sky, faults {env.config.faults.value}, {driven}")
     place = Place(name, env.config.sky, env.config.faults.value)
     outcomes = [
-        outcome_of(log.episode(i), allotted_s(env), Task(place, agent, seed), cost_limit=env.config.cost_limit)
+        outcome_of(log.episode(i), allotted_s(env), Task(place, agent, seed), env.config)
         for i, seed in enumerate(seeds)
     ]
     sensed = env.config.navigation.source.uses_sensors

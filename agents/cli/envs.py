@@ -115,7 +115,7 @@ def _details(env: DrivingEnv) -> dict[str, Any]:
             asdict(entry) | {"column": entry.column, "source": _source(entry.source)} for entry in env.observer.index
         ],
         "info": _info(),
-        "cost_weights": _weights(env),
+        "cost_weights": env.config.cost.weights,
     }
 
 
@@ -130,18 +130,12 @@ def _info() -> dict[str, str]:
     return INFO | {entry.name: entry.meaning for entry in info_entries()}
 
 
-def _weights(env: DrivingEnv) -> dict[str, float]:
-    from lanebound.envs.costs import CAUSES
-
-    return {cause: getattr(env.config.cost, cause.removeprefix("cost_")) for cause in CAUSES}
-
-
 def _show(env: DrivingEnv) -> None:
     from lanebound.agents.cli.output import print_table
     from lanebound.envs.info import INFO
     from lanebound.integrity.core.config import describe
 
-    about, weights = facts(env), _weights(env)
+    about = facts(env)
     del about["observation"]
     print_table(about["id"], ("what", "value"), about.items())
     own = [entry for entry in describe(env.config) if "." not in entry.path]
@@ -151,7 +145,7 @@ def _show(env: DrivingEnv) -> None:
     print_table(
         f"Costs, limit {env.config.cost_limit:g} an episode",
         ("cause", "weight", "unweighted"),
-        ((cause, weight, INFO[cause]) for cause, weight in weights.items()),
+        ((cause, weight, INFO[cause]) for cause, weight in env.config.cost.weights.items()),
     )
 
 

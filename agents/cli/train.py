@@ -21,6 +21,8 @@ from lanebound.agents.cli.options import (
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from lanebound.agents.benchmark.suite import SuiteConfig
     from lanebound.agents.checkpointing.runner import OnProgress
     from lanebound.agents.learning.experiment import ExperimentConfig
@@ -102,7 +104,7 @@ def _trained(
         made.append(steps)
         decisions(min(steps, experiment.steps))
 
-    rows = carry_out(experiment, out, jobs, partial(_say, experiment.limit()), stepped, imitation)
+    rows = carry_out(experiment, out, jobs, partial(_say, experiment.limits()), stepped, imitation)
     return rows, not made
 
 
@@ -114,12 +116,13 @@ def _kept(out: Path) -> str:
     return "before the first checkpoint, so nothing is kept"
 
 
-def _say(limit: float | None, checkpoint: Checkpoint) -> None:
-    """Print a checkpoint; ``limit``: of an episode's cost."""
+def _say(limits: Mapping[str, float], checkpoint: Checkpoint) -> None:
+    """Print a checkpoint; ``limits``: of an episode's cost and of its groups, by their names in evaluations."""
     found = checkpoint.evaluation
-    shown = ", ".join(f"{name} {found[name]:.3g}" for name in ("return", "cost", "success", "mean_speed"))
-    beyond = limit is not None and found["cost"] > limit
-    notes = ("  best" if checkpoint.best else "") + (f"  (over the limit of {limit:g})" if beyond else "")
+    columns = ("return", "cost", "success", "mean_speed", *(name for name in limits if name != "cost"))
+    shown = ", ".join(f"{name} {found[name]:.3g}" for name in columns)
+    over = [f"{'' if name == 'cost' else f'{name} '}{limit:g}" for name, limit in limits.items() if found[name] > limit]
+    notes = ("  best" if checkpoint.best else "") + (f"  (over the limit of {', '.join(over)})" if over else "")
     typer.echo(f"{checkpoint.steps:>9} decisions: {shown}{notes}", err=True)
 
 

@@ -11,6 +11,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
+from lanebound.agents.learning.constraints import group_limits
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
@@ -84,7 +85,8 @@ def make_model(experiment: ExperimentConfig, env: VecEnv, logs: str | None) -> B
 def _made(experiment: ExperimentConfig, env: VecEnv, logs: str | None, settings: Mapping[str, Any]) -> BaseAlgorithm:
     ours: dict[str, Any] = {"seed": experiment.seed, "device": "cpu", "tensorboard_log": logs}
     if experiment.algorithm.constrained:
-        ours |= {"cost_limit": experiment.limit(), "multiplier": experiment.multiplier}
+        groups = group_limits(experiment.env_config())
+        ours |= {"cost_limit": experiment.limit(), "cost_limits": groups, "multiplier": experiment.multiplier}
     policy = "MlpLstmPolicy" if experiment.algorithm is Algorithm.RECURRENT_PPO else "MlpPolicy"
     found: BaseAlgorithm = class_of(experiment.algorithm)(policy, env, **{**ours, **settings})
     return found

@@ -1,8 +1,11 @@
-"""Common parts of the algorithms under a cost limit: costs of ``info``, their critic, and their advantages."""
+"""Common parts of the algorithms under limits of cost: the critic of costs, sums of episodes, and advantages.
+
+K is the number of limits, see :mod:`.constraints`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,22 +17,9 @@ from torch.nn import functional
 
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["CostCritic", "EpisodeCosts", "advantages", "costs_in", "require_flat"]
+__all__ = ["CostCritic", "EpisodeCosts", "advantages", "require_flat"]
 
 Array = NDArray[np.float32]
-
-
-def costs_in(infos: Sequence[Mapping[str, Any]]) -> Array:
-    """The cost of the step in each environment, (N,).
-
-    Raises
-    ------
-    InputError
-        An ``info`` without "cost".
-    """
-    if any("cost" not in info for info in infos):
-        raise InputError("info must hold 'cost' at every step, got none: use an environment of lanebound")
-    return np.array([info["cost"] for info in infos], dtype=np.float32)
 
 
 def require_flat(space: spaces.Space[Any]) -> int:
@@ -46,34 +36,36 @@ def require_flat(space: spaces.Space[Any]) -> int:
 
 
 class CostCritic(nn.Module):
-    """Expected future cost of an observation, or of an observation and an action, as a small network.
+    """K expected future costs of an observation, or of an observation and an action, as a small network.
 
     The loss is the squared error, whose minimum is the mean: a rare crash counts by its frequency.
 
     Parameters
     ----------
     size : of its input
-    scale : of costs, about that of an episode; the output of the network is a share of it
+    scales : (K,) of costs, about those of an episode; the outputs of the network are shares of them
     widths : of the hidden layers
     """
 
-    def __init__(self, size: int, scale: float = 1.0, widths: Sequence[int] = (64, 64)) -> None:
+    scale: torch.Tensor
+
+    def __init__(self, size: int, scales: Sequence[float] = (1.0,), widths: Sequence[int] = (64, 64)) -> None:
         super().__init__()
-        self.scale = scale
+        self.register_buffer("scale", torch.tensor(scales, dtype=torch.float32), persistent=False)
         layers: list[nn.Module] = []
         for width in widths:
             layers += [nn.Linear(size, width), nn.Tanh()]
             size = width
-        self.net = nn.Sequential(*layers, nn.Linear(size, 1))
+        self.net = nn.Sequential(*layers, nn.Linear(size, len(scales)))
 
     def forward(self, given: torch.Tensor) -> torch.Tensor:
-        """(..., size) to (...)."""
+        """(..., size) to (..., K)."""
         found: torch.Tensor = self.net(given)
-        return self.scale * found[..., 0]
+        return self.scale * found
 
     def loss(self, given: torch.Tensor, due: torch.Tensor) -> torch.Tensor:
-        """Mean squared error [of the scale] against target costs, (...)."""
-        return functional.mse_loss(self(given) / self.scale, due / self.scale)
+        """Sum over the K costs of the mean squared error [of the scale] against target costs, (..., K)."""
+        return len(self.scale) * functional.mse_loss(self(given) / self.scale, due / self.scale)
 
     def of(self, given: Array) -> Array:
         """The same on arrays, without gradients."""
@@ -83,22 +75,22 @@ class CostCritic(nn.Module):
 
 
 class EpisodeCosts:
-    """Sums of costs over episodes, in N environments side by side."""
+    """Sums of K costs over episodes, in N environments side by side."""
 
-    def __init__(self, count: int) -> None:
-        self._running = np.zeros(count)
-        self._ended: list[float] = []
+    def __init__(self, count: int, limits: int) -> None:
+        self._running = np.zeros((count, limits))
+        self._ended: list[NDArray[np.float64]] = []
 
     def add(self, costs: Array, dones: NDArray[np.bool_]) -> None:
-        """A step of all environments."""
+        """A step of all environments: costs (N, K), and where episodes ended, (N,)."""
         self._running += costs
-        self._ended += self._running[dones].tolist()
+        self._ended += list(self._running[dones])
         self._running[dones] = 0.0
 
-    def take(self) -> list[float]:
-        """The episodes that have ended since the last call."""
+    def take(self) -> NDArray[np.float64]:
+        """The episodes that have ended since the last call, (E, K)."""
         ended, self._ended = self._ended, []
-        return ended
+        return np.array(ended).reshape(len(ended), self._running.shape[1])
 
 
 def advantages(
@@ -110,19 +102,19 @@ def advantages(
 
     Parameters
     ----------
-    costs : (T, N), of a step; where an episode was cut off, with the discounted value of its end
-    values : (T, N), of the observations before each step
-    last : (N,), value of those after the last
+    costs : (T, N, K), of a step; where an episode was cut off, with the discounted value of its end
+    values : (T, N, K), of the observations before each step
+    last : (N, K), value of those after the last
     dones : (T, N), whether the episode ended with the step
 
     Returns
     -------
-    advantages and returns, (T, N) each
+    advantages and returns, (T, N, K) each
     """
     found = np.zeros_like(values)
     after, ahead = last, np.zeros_like(last)
     for t in range(len(costs) - 1, -1, -1):
-        goes_on = 1.0 - dones[t].astype(np.float32)
+        goes_on = 1.0 - dones[t, :, None].astype(np.float32)
         delta = costs[t] + gamma * after * goes_on - values[t]
         ahead = delta + gamma * gae_lambda * goes_on * ahead
         found[t], after = ahead, values[t]

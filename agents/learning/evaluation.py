@@ -22,8 +22,10 @@ from lanebound.agents.drivers.foreign import load_checkpoint, require_foreign
 from lanebound.agents.drivers.origin import environment_in, experiment_in
 from lanebound.agents.episodes import open_env
 from lanebound.agents.learning.algorithms import CLASSES
-from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
+from lanebound.agents.learning.experiment import FLAT, GROUP_COST, ExperimentConfig, Shield
 from lanebound.agents.learning.opening import for_judging
+from lanebound.envs.config import EnvConfig
+from lanebound.envs.costs import GROUPS
 from lanebound.envs.episode_totals import EPISODE_KEY
 from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.core.errors import InputError
@@ -32,39 +34,45 @@ __all__ = ["JUDGED", "drive_all", "evaluate", "evaluation_suite", "learnt_agent"
 
 JUDGED = (
     "return", "cost", "over_cost_limit", "success", "collision", "off_road", "lane_departure", "harm", "mean_speed",
-    "throughput", "alert_share", "any_hmi",
+    "throughput", "alert_share", "any_hmi", *(f"over_{group}_limit" for group in GROUPS), "within_all_limits",
 )  # fmt: skip
-"""Metrics of an episode in evaluations of checkpoints."""
+"""Metrics of an episode in evaluations of checkpoints; those about limits where there are limits."""
 KINDS = {path.rpartition(":")[2]: algorithm for algorithm, path in CLASSES.items()}
 
 
 def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, float]:
-    """Means over episodes of the policy without its noise, and the standard error of the cost (``cost_se``).
+    """Means over episodes of the policy without its noise, and standard errors of the costs with a limit (``cost_se``).
 
     The seeds are the last training seeds: those of the benchmarks stay unseen, and training does not use them, because
     its environments continue from a seed of their own.
     """
     rows = drive_all(experiment, model, SPLITS["train"][-experiment.evaluation_episodes :])
-    costs = [row["cost"] for row in rows]
-    means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
-    return {**means, "cost_se": float(np.std(costs, ddof=1)) / math.sqrt(len(costs)) if len(costs) > 1 else 0.0}
+    columns = {name: [row[name] for row in rows] for name in rows[0]}
+    means = {name: float(np.mean(values)) for name, values in columns.items()}
+    limited = [name for name in columns if name == "cost" or name.startswith(GROUP_COST)]
+    return {**means, **{f"{name}_se": _standard_error(columns[name]) for name in limited}}
+
+
+def _standard_error(values: Sequence[float]) -> float:
+    """Of the mean; 0 of a single value."""
+    return float(np.std(values, ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else 0.0
 
 
 def drive_all(experiment: ExperimentConfig, model: BaseAlgorithm, seeds: Sequence[int]) -> list[dict[str, float]]:
     """Metrics of the policy without exploration under each of consecutive seeds; in the engine all at once.
 
-    Of an episode: the benchmark's metrics :data:`JUDGED`, and ``length`` in decisions. The way of ``throughput`` is the
-    true speed at each decision times its duration.
+    Of an episode: the benchmark's metrics :data:`JUDGED`, ``length`` in decisions, and the weighted costs of each group
+    that has a limit (``group_cost_lane`` and so on). The way of ``throughput`` is the true speed at each decision times
+    its duration.
     """
     with closing(experiment.open()) as single:
-        dt_s = single.dt_s
-        terms = {"cost_limit": single.config.cost_limit, "allotted_s": allotted_s(single)}
+        dt_s, config, terms = single.dt_s, single.config, {"allotted_s": allotted_s(single)}
     env = for_judging(experiment, len(seeds))
     try:
         ends = [info for seed in seeds[:: env.num_envs] for info in _drive(env, model, seed)]
     finally:
         env.close()
-    return [_row(info, dt_s, terms) for info in ends]
+    return [_row(info, dt_s, config, terms) for info in ends]
 
 
 def _drive(env: VecEnv, model: BaseAlgorithm, seed: int) -> list[Mapping[str, Any]]:
@@ -82,12 +90,14 @@ def _drive(env: VecEnv, model: BaseAlgorithm, seed: int) -> list[Mapping[str, An
     return [ends[e] for e in range(env.num_envs)]
 
 
-def _row(info: Mapping[str, Any], dt_s: float, terms: Mapping[str, float]) -> dict[str, float]:
+def _row(info: Mapping[str, Any], dt_s: float, config: EnvConfig, terms: Mapping[str, float]) -> dict[str, float]:
     """Metrics of an episode, from the info of its last step."""
     episode = info[EPISODE_KEY]
-    outcome = outcome_of_statistics(info, episode, UNNAMED, time_s=dt_s * episode["length"], **terms)
+    outcome = outcome_of_statistics(info, episode, UNNAMED, config, time_s=dt_s * episode["length"], **terms)
     found = {key: metric_named(key).take(outcome) for key in JUDGED}
-    return {key: value for key, value in found.items() if value is not None} | {"length": float(outcome.steps)}
+    known = {key: value for key, value in found.items() if value is not None}
+    groups = {GROUP_COST + group: value for group, value in outcome.group_costs.items()}
+    return {**known, "length": float(outcome.steps), **groups}
 
 
 def trained(

@@ -19,6 +19,7 @@ from lanebound.agents.drivers.rules import SafetyRules
 from lanebound.agents.episodes.opening import full_id, naming, open_env
 from lanebound.agents.learning.multiplier import MultiplierConfig
 from lanebound.agents.presets import load_named
+from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError
@@ -26,6 +27,7 @@ from lanebound.integrity.core.errors import ConfigError
 __all__ = [
     "BOUNDS",
     "FLAT",
+    "GROUP_COST",
     "Algorithm",
     "ExperimentConfig",
     "ImitationConfig",
@@ -35,8 +37,8 @@ __all__ = [
     "require_settings",
 ]
 
-OWN = ("seed", "cost_limit", "multiplier")
-"""Fields of an experiment that algorithms take as well: two values would contradict each other in the card."""
+OWN = {name: name for name in ("seed", "cost_limit", "multiplier")} | {"cost_limits": "overrides.cost_limits"}
+"""What algorithms take and an experiment says elsewhere: two values would contradict each other in the card."""
 TEMPERATURE = re.compile(r"auto(_(\d+\.?\d*|\.\d+)(e[+-]?\d+)?)?")
 
 
@@ -123,14 +125,16 @@ BOUNDS: dict[str, type[Config]] = {
 
 def require_settings(algorithm: str, settings: Mapping[str, Any]) -> None:
     """Raise ConfigError for settings out of their bounds, and for fields of the experiment among them."""
-    for name in OWN:
+    for name, place in OWN.items():
         if name in settings:
-            raise ConfigError(f"settings.{name} must be left out, got {settings[name]!r}: use {name}")
+            raise ConfigError(f"settings.{name} must be left out, got {settings[name]!r}: use {place}")
     bounded = BOUNDS[algorithm]
     bounded.load({name: value for name, value in settings.items() if name in bounded.model_fields}, "settings")
 
 
 FOLDER = "experiments/"
+GROUP_COST = "group_cost_"
+"""How the weighted costs of a group are named in evaluations, before the name of the group."""
 FLAT: dict[str, Any] = {"observation": {"form": "flat"}}
 
 
@@ -326,8 +330,17 @@ class ExperimentConfig(Config):
         """The cost limit of an episode: that of the experiment, or of the environment."""
         if self.cost_limit is not None:
             return self.cost_limit
+        return self.env_config().cost_limit
+
+    def limits(self) -> dict[str, float]:
+        """Limits of the costs of an episode by their names in evaluations: ``cost``, ``group_cost_lane`` and so on."""
+        groups = self.env_config().cost_limits.given
+        return {"cost": self.limit()} | {GROUP_COST + group: limit for group, limit in groups.items()}
+
+    def env_config(self) -> EnvConfig:
+        """The configuration of the environment."""
         with closing(self.open()) as env:
-            return env.config.cost_limit
+            return env.config
 
 
 def _require_flat(path: str, observation: Any) -> None:

@@ -46,6 +46,7 @@ class Multiplier:
     Parameters
     ----------
     limit : of an episode's cost, positive
+    name : of the limit, for messages
 
     Attributes
     ----------
@@ -59,6 +60,7 @@ class Multiplier:
 
     limit: float
     config: MultiplierConfig
+    name: str = "cost_limit"
     value: float = 0.0
     integral: float = 0.0
     latest: list[float] = field(default_factory=list)  # costs of episodes
@@ -67,7 +69,10 @@ class Multiplier:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.limit < math.inf:
-            raise InputError(f"cost_limit must be > 0 and finite, got {self.limit}: an excess is a share of the limit")
+            raise InputError(
+                f"{self.name} must be > 0 and finite, got {self.limit}: an excess is a share of the limit, give a "
+                "small one"
+            )
         self.value = 0.0 if self.config.after_steps else self.config.start
         self.integral = self.config.start / self.config.integral if self.config.integral > 0.0 else 0.0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing import current_process
 from typing import Any
 
@@ -92,17 +93,18 @@ def _in_engine(experiment: ExperimentConfig, count: int, processes: int | None =
 
 def _divided(name: str, count: int, config: Mapping[str, Any], processes: int | None) -> VecEnv:
     """Environments in the engine over so many processes; None: as :func:`for_learning` chooses."""
+    make = partial(EngineVecEnv, name, count, config, keys=("cost", "costs"), statistics=True)
     if processes is not None:
-        return EngineVecEnv(name, count, config, statistics=True, processes=min(processes, count))
+        return make(processes=min(processes, count))
     parts = 1 if current_process().daemon else max(1, min(available_cores(), count // LEAST))
     if parts > 1:
         try:
-            return EngineVecEnv(name, count, config, statistics=True, processes=parts)
+            return make(processes=parts)
         except (InputError, RuntimeError) as error:  # such as plug-ins of a notebook, which other processes lack
-            env = EngineVecEnv(name, count, config, statistics=True)  # raises what this process refuses as well
+            env = make()  # raises what this process refuses as well
             LOGGER.warning("lanebound: environments are in one process, as %d processes failed: %s", parts, error)
             return env
-    return EngineVecEnv(name, count, config, statistics=True)
+    return make()
 
 
 def _shielded(experiment: ExperimentConfig, env: VecEnv, penalty: float) -> VecEnv:

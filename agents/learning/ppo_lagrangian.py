@@ -1,11 +1,13 @@
-"""Proximal policy optimisation under a limit of an episode's cost, by a Lagrange multiplier.
+"""Proximal policy optimisation under limits of an episode's costs, by a Lagrange multiplier for each.
 
-The objective is ``A = (A_r - lambda A_c) / (1 + lambda)`` (Stooke et al. 2020, section 5): A_r and A_c are advantages
-of reward and cost, each with a critic of its own, lambda the multiplier of :mod:`.multiplier`.
+The objective is ``A = (A_r - sum_k lambda_k A_k) / (1 + sum_k lambda_k)`` (Stooke et al. 2020, section 5, there of one
+cost): A_r and A_k are advantages of the reward and of cost k of :mod:`.constraints`, by one critic of the reward and
+one of all costs, lambda_k the multipliers of :mod:`.multiplier`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,20 +15,22 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 
-from lanebound.agents.learning.costs import CostCritic, EpisodeCosts, advantages, costs_in, require_flat
-from lanebound.agents.learning.multiplier import Multiplier, MultiplierConfig
+from lanebound.agents.learning.constraints import Constraints, GroupLimit, costs_in
+from lanebound.agents.learning.costs import CostCritic, EpisodeCosts, advantages, require_flat
+from lanebound.agents.learning.multiplier import MultiplierConfig
 
 __all__ = ["PPOLagrangian"]
 
 
 class PPOLagrangian(PPO):
-    """PPO of stable-baselines3, whose policy also keeps ``info["cost"]`` of an episode below a limit.
+    """PPO of stable-baselines3, whose policy also keeps the costs of an episode below their limits.
 
     Parameters
     ----------
     policy, env, *arguments, **settings : as of PPO; observations are flat
-    cost_limit : of the sum of costs over an episode
-    multiplier : gains of its control
+    cost_limit : of the sum of ``info["cost"]`` over an episode
+    cost_limits : of groups of causes in addition, as :func:`.group_limits` makes them
+    multiplier : gains of the control of each
     cost_gamma : discount of costs
     cost_gae_lambda : of their advantages
     cost_learning_rate : of the cost critic
@@ -34,7 +38,7 @@ class PPOLagrangian(PPO):
     Raises
     ------
     InputError
-        Observations that are not one vector, a limit that is not positive, or an environment without costs.
+        Observations that are not one vector, a limit that is not positive, or an environment without these costs.
     """
 
     EXTRA: ClassVar[list[str]] = ["cost_critic", "cost_optimizer"]
@@ -45,23 +49,24 @@ class PPOLagrangian(PPO):
         env: Any,
         *arguments: Any,
         cost_limit: float = 1.0,
+        cost_limits: Sequence[GroupLimit] = (),
         multiplier: MultiplierConfig | None = None,
         cost_gamma: float = 0.99,
         cost_gae_lambda: float = 0.95,
         cost_learning_rate: float = 1e-3,
         **settings: Any,
     ) -> None:
-        self.cost_limit = cost_limit
-        self.multiplier = Multiplier(cost_limit, multiplier or MultiplierConfig())
+        self.constraints = Constraints(cost_limit, cost_limits, multiplier or MultiplierConfig())
         self.cost_gamma, self.cost_gae_lambda = cost_gamma, cost_gae_lambda
         self.cost_learning_rate = cost_learning_rate
         super().__init__(policy, env, *arguments, **settings)
 
     def _setup_model(self) -> None:
         super()._setup_model()
-        self.cost_critic = CostCritic(require_flat(self.observation_space), self.cost_limit).to(self.device)
+        limits = self.constraints.limits
+        self.cost_critic = CostCritic(require_flat(self.observation_space), limits).to(self.device)
         self.cost_optimizer = torch.optim.Adam(self.cost_critic.parameters(), lr=self.cost_learning_rate)
-        self._episodes = EpisodeCosts(self.n_envs)
+        self._episodes = EpisodeCosts(self.n_envs, len(limits))
         self._costs: list[NDArray[np.float32]] = []
         self._dones: list[NDArray[np.bool_]] = []
 
@@ -74,7 +79,7 @@ class PPOLagrangian(PPO):
         """Called once a step of the rollout: what it cost; where an episode is cut off, its end's value too."""
         super()._update_info_buffer(infos, dones)
         ended = np.zeros(len(infos), dtype=np.bool_) if dones is None else np.asarray(dones, dtype=np.bool_)
-        costs = costs_in(infos)
+        costs = costs_in(infos, self.constraints.groups)
         self._episodes.add(costs, ended)
         for i in np.flatnonzero(ended):
             if infos[i].get("TimeLimit.truncated", False) and infos[i].get("terminal_observation") is not None:
@@ -83,23 +88,28 @@ class PPOLagrangian(PPO):
         self._dones.append(ended)
 
     def train(self) -> None:
-        """Update the multiplier, then the policy by both advantages, then the cost critic."""
+        """Update the multipliers, then the policy by all advantages, then the cost critic."""
         ended = self._episodes.take()
-        if ended:
-            self.multiplier.update(ended, self.num_timesteps)
-            self.logger.record("cost/episode_mean", float(np.mean(ended)))
-        weight, buffer = self.multiplier.value, self.rollout_buffer
+        if len(ended):
+            self.constraints.update(ended, self.num_timesteps)
+            self._record("episode_mean", ended.mean(axis=0).tolist())
+        weights, buffer = self.constraints.values, self.rollout_buffer
         seen = buffer.observations.reshape(buffer.buffer_size * self.n_envs, -1).copy()
         values = self.cost_critic.of(buffer.observations)
         last = self.cost_critic.of(np.asarray(self._last_obs))
         of_cost, returns = advantages(
             np.stack(self._costs), values, last, np.stack(self._dones), self.cost_gamma, self.cost_gae_lambda
         )
-        buffer.advantages = ((buffer.advantages - weight * of_cost) / (1.0 + weight)).astype(np.float32)
+        priced = (np.array(weights, dtype=np.float32) * of_cost).sum(axis=-1)
+        buffer.advantages = ((buffer.advantages - priced) / (1.0 + sum(weights))).astype(np.float32)
         super().train()
-        loss = self._fit(seen, returns.reshape(-1))
+        loss = self._fit(seen, returns.reshape(len(seen), -1))
         self.logger.record("cost/critic_loss", loss)
-        self.logger.record("cost/multiplier", weight)
+        self._record("multiplier", weights)
+
+    def _record(self, name: str, values: Sequence[float]) -> None:
+        for key, value in self.constraints.named(name, values).items():
+            self.logger.record(key, value)
 
     def _fit(self, seen: NDArray[np.float32], returns: NDArray[np.float32]) -> float:
         """As many epochs over the rollout as the policy's, in batches of the same size."""

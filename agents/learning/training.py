@@ -241,6 +241,8 @@ def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorith
     logs = str(out / "logs") if find_spec("tensorboard") else None
     if (out / LAST).exists():
         model = load_model(out / LAST, experiment.algorithm, env, experiment.settings.get("device", "cpu"))
+        if hasattr(model, "multiplier"):  # the one multiplier of older versions, which learning would begin anew
+            raise InputError(f"out must hold a training of this version, got an older one in {out}: learn anew")
         model.tensorboard_log = logs
         if (out / REPLAY).exists():
             _recall(model, out / REPLAY)
@@ -287,7 +289,7 @@ def _checkpoint(
     """Evaluate the present policy and store it; ``progress`` grows by its evaluation."""
     found = evaluate(experiment, model) if judge is None else judge(experiment, model)
     progress.append({"steps": model.num_timesteps, **found})
-    best = judge is None and is_best(progress, _limit_of_best(experiment))
+    best = judge is None and is_best(progress, _limits_of_best(experiment))
     _keep(experiment, model, out, best)
     if best:
         write_card(experiment, progress[-1], out / CARD)
@@ -310,22 +312,30 @@ def _keep(experiment: ExperimentConfig, model: BaseAlgorithm, out: Path, best: b
     (out / IMITATION).unlink(missing_ok=True)
 
 
-def _limit_of_best(experiment: ExperimentConfig) -> float:
-    """The cost limit of the best checkpoint: that of a constrained algorithm or of the experiment, else infinity."""
-    limited = experiment.algorithm.constrained or experiment.cost_limit is not None
-    return experiment.limit() if limited else math.inf
+def _limits_of_best(experiment: ExperimentConfig) -> dict[str, float]:
+    """The limits of the best checkpoint: those of a constrained algorithm, else that of the experiment, else none."""
+    if experiment.algorithm.constrained:
+        return experiment.limits()
+    return {} if experiment.cost_limit is None else {"cost": experiment.cost_limit}
 
 
-def is_best(progress: list[dict[str, Any]], limit: float) -> bool:
-    """Whether the last evaluation is the best: the largest return within the cost limit, else the least cost.
+def is_best(progress: list[dict[str, Any]], limits: Mapping[str, float]) -> bool:
+    """Whether the last evaluation is the best: the largest return within all limits, else the least excess.
 
-    Within the limit is a checkpoint whose cost plus its standard error is at most the limit: the best of many
-    checkpoints is also the luckiest, and its cost is higher on other seeds than in its own evaluation.
+    Within a limit is a checkpoint whose cost plus its standard error is at most the limit: the best of many checkpoints
+    is also the luckiest, and its cost is higher on other seeds than in its own evaluation. The excess is that of the
+    cost that exceeds its limit by the largest factor.
+
+    Parameters
+    ----------
+    limits : positive, by the names of costs in the evaluations
     """
 
     def worth(row: Mapping[str, float]) -> tuple[float, float]:
-        high = row["cost"] + row.get("cost_se", 0.0)  # older evaluations have none
-        return (1.0, row["return"]) if high <= limit else (0.0, -high)
+        # older evaluations have no standard error
+        shares = [(row[name] + row.get(f"{name}_se", 0.0)) / limit for name, limit in limits.items()]
+        worst = max(shares, default=0.0)
+        return (1.0, row["return"]) if worst <= 1.0 else (0.0, -worst)
 
     return all(worth(progress[-1]) >= worth(row) for row in progress[:-1])
 

@@ -188,7 +188,7 @@ def _weights(results: Results, place: Place, agent: str) -> dict[str, float]:
 
     env_id = full_id(place.env)
     costs = make_config(env_id, results.suite.env_overrides(place, agent)).cost if env_id in IDS else CostConfig()
-    return {cause: float(getattr(costs, cause.removeprefix("cost_"))) for cause in CAUSES}
+    return costs.weights
 
 
 def _diagrams(results: Results, here: Sequence[Outcome], actors: Sequence[Actor]) -> list[Diagram]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.batch.records_kernel import OUTCOME, TERMS
+from lanebound.envs.batch.records_kernel import CAUSES, OUTCOME, TERMS
 from lanebound.integrity.core.records import Records
 
 __all__ = ["NAMES", "StepResult", "form_of", "info_of", "infos_of", "results", "single_info"]
@@ -16,14 +16,18 @@ __all__ = ["NAMES", "StepResult", "form_of", "info_of", "infos_of", "results", "
 FIELDS = OUTCOME.names or ()
 COST, TERMINATED, TRUNCATED, MODE = (FIELDS.index(name) for name in ("cost", "terminated", "truncated", "mode"))
 NUMBERS, FLAGS, CODES = FIELDS[COST:TERMINATED], FIELDS[TRUNCATED + 1 : MODE], FIELDS[MODE:]
-NAMES = (*NUMBERS, *FLAGS, *CODES)
-"""Entries of infos that are arrays (N,)."""
+BY_CAUSE = slice(FIELDS.index(CAUSES[0]), FIELDS.index(CAUSES[0]) + len(CAUSES))
+NAMES = (*NUMBERS, *FLAGS, *CODES, "costs")
+"""Entries of infos that are arrays (N,), ``costs`` (N, C)."""
 Infos = dict[str, Any]
 ZERO = np.zeros(())  # an array compares faster than a number
 
 
 class StepResult(NamedTuple):
-    """What a step has come to in N environments, a copy: arrays (N,); ``terms`` and ``rest`` as infos name them."""
+    """What a step has come to in N environments, a copy: arrays (N,), the last of ``rest`` (N, C).
+
+    ``terms`` and ``rest`` are in the order in which infos name them.
+    """
 
     rewards: NDArray[np.float64]
     terminated: NDArray[np.bool_]
@@ -39,7 +43,7 @@ def results(outcome: Records, of: NDArray[np.bool_] | None = None) -> StepResult
         rows[:, ~of] = 0.0
     reward, *terms = rows[:COST]
     terminated, truncated, *flags = np.greater(rows[TERMINATED:MODE], ZERO)
-    rest = [*rows[COST:TERMINATED], *flags, *rows[MODE:].astype(np.int64)]
+    rest = [*rows[COST:TERMINATED], *flags, *rows[MODE:].astype(np.int64), rows[BY_CAUSE].T.copy()]
     return StepResult(reward, terminated, truncated, terms, rest)
 
 
@@ -50,8 +54,8 @@ def form_of(mask: NDArray[np.bool_]) -> tuple[Infos, Infos]:
 
 
 def infos_of(found: StepResult, form: tuple[Infos, Infos], own: Mapping[str, NDArray[np.float64]]) -> Infos:
-    """The info of environments: a :func:`form_of` them, which stays as it is, filled with arrays (N,); ``own`` of
-    plug-ins."""
+    """The info of environments: a :func:`form_of` them, which stays as it is, filled with arrays (N,) and ``costs``
+    (N, C); ``own`` of plug-ins."""
     infos, terms = form[0].copy(), form[1].copy()
     infos.update(zip(NAMES, found.rest, strict=True))
     terms.update(zip(TERMS, found.terms, strict=True))
@@ -63,20 +67,24 @@ def infos_of(found: StepResult, form: tuple[Infos, Infos], own: Mapping[str, NDA
 
 
 def info_of(outcome: Records, row: int) -> Infos:
-    """The info of one environment: Python's own types."""
+    """The info of one environment: Python's own types, but ``costs`` (C,)."""
     values = outcome[row].item()
     info: Infos = dict(zip(NUMBERS, values[COST:TERMINATED], strict=True))
     info.update(zip(FLAGS, (value > 0.0 for value in values[TRUNCATED + 1 : MODE]), strict=True))
     info.update(zip(CODES, (int(value) for value in values[MODE:]), strict=True))
+    info["costs"] = np.array(values[BY_CAUSE])
     info["rewards"] = dict(zip(TERMS, values[1:COST], strict=True))
     return info
 
 
 def single_info(infos: Infos, row: int) -> Infos:
-    """The info of one environment among those that are batched: Python's own types, no masks."""
+    """The info of one environment among those that are batched, as :func:`info_of` has it, without masks."""
     found: Infos = {}
     for name, value in infos.items():
         if name.startswith("_"):
             continue
-        found[name] = single_info(value, row) if isinstance(value, dict) else value[row].item()
+        if isinstance(value, dict):
+            found[name] = single_info(value, row)
+        else:
+            found[name] = value[row].item() if value.ndim == 1 else value[row].copy()
     return found

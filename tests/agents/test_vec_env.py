@@ -34,7 +34,7 @@ CONFIG: dict[str, Any] = {
 
 
 def test_it_does_what_a_dummy_of_single_environments_does() -> None:
-    engine = EngineVecEnv("lanebound/Highway-v0", 3, CONFIG, keys=("cost", "crashed"))
+    engine = EngineVecEnv("lanebound/Highway-v0", 3, CONFIG, keys=("cost", "crashed", "costs"))
     single = DummyVecEnv([lambda: gymnasium.make("lanebound/Highway-v0", config=CONFIG) for _ in range(3)])
     for env in (engine, single):
         env.seed(4)
@@ -52,6 +52,7 @@ def test_it_does_what_a_dummy_of_single_environments_does() -> None:
         np.testing.assert_array_equal(over, over_too)
         for info, info_too in zip(infos, infos_too, strict=True):
             assert info["cost"] == pytest.approx(info_too["cost"], abs=1e-9)
+            np.testing.assert_allclose(info["costs"], info_too["costs"], atol=1e-9)
             if "terminal_observation" in info_too:
                 ends += 1
                 assert info["TimeLimit.truncated"] == info_too["TimeLimit.truncated"]
@@ -59,7 +60,7 @@ def test_it_does_what_a_dummy_of_single_environments_does() -> None:
                 for group, last in info_too["terminal_observation"].items():
                     np.testing.assert_allclose(info["terminal_observation"][group], last, atol=1e-6)
             else:
-                assert set(info) == {"cost", "crashed"}
+                assert set(info) == {"cost", "crashed", "costs"}
     assert ends >= 3
     assert rewards.dtype == np.float32
     assert engine.get_attr("render_mode") == [None] * 3
@@ -208,8 +209,8 @@ def test_what_it_cannot_do_is_refused() -> None:
         EngineVecEnv("lanebound/LongMerge-v0", 2)
     with pytest.raises(InputError, match="env_id 'LaneKeping' is unknown: did you mean 'lanebound/LaneKeeping-v0'"):
         EngineVecEnv("LaneKeping", 2)
-    with pytest.raises(InputError, match="'costs': did you mean 'cost'"):
-        EngineVecEnv("lanebound/Highway-v0", 2, CONFIG, keys=("costs",))
+    with pytest.raises(InputError, match="'cst': did you mean 'cost'"):
+        EngineVecEnv("lanebound/Highway-v0", 2, CONFIG, keys=("cst",))
     with pytest.raises(InputError, match=r"pass \['cost'\]"):
         EngineVecEnv("lanebound/Highway-v0", 2, CONFIG, keys="cost")
     env = EngineVecEnv("lanebound/Highway-v0", 2, CONFIG)

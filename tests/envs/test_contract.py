@@ -23,6 +23,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 from lanebound.envs import IDS, DrivingEnv, make_config, wrap
 from lanebound.envs.batch.streams import COMMON
+from lanebound.envs.costs import CAUSES
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import STREAM_NAMES
 
@@ -198,12 +199,14 @@ def test_a_vector_says_what_each_of_its_environments_does(env_id: str) -> None:
         observation, info = env.reset(seed=5 + row)
         assert data_equivalence({k: v[row] for k, v in observations.items()}, observation, exact=True)
         assert infos["cost"][row] == info["cost"]
+        np.testing.assert_array_equal(infos["costs"][row], info["costs"])
         assert infos["rewards"]["progress"][row] == info["rewards"]["progress"]
     for observations, rewards, _, _, infos in later:
         for row, (env, action) in enumerate(zip(singles, vector.action_space.sample(), strict=True)):
             observation, reward, *_, info = env.step(action)
             assert data_equivalence({k: v[row] for k, v in observations.items()}, observation, exact=True)
             assert (rewards[row], infos["pl_ct_m"][row]) == (reward, info["pl_ct_m"])
+            np.testing.assert_array_equal(infos["costs"][row], info["costs"])
     vector.close()
 
 
@@ -222,11 +225,14 @@ def test_spawned_processes_say_the_same_as_this_one() -> None:
 
 
 def assert_plain(value: Any, path: str = "info") -> None:
-    """Python's own types only, as JSON and checkers want them; no NaN."""
+    """Python's own types only, as checkers want them, but ``costs`` (C,) float64; no NaN."""
     if type(value) is dict:
         for key, inside in value.items():
             assert type(key) is str
             assert_plain(inside, f"{path}.{key}")
+    elif path == "info.costs":
+        assert (value.dtype, value.shape) == (np.float64, (len(CAUSES),))
+        assert np.isfinite(value).all()
     else:
         assert type(value) in (bool, int, float), f"{path} is a {type(value)}"
         assert value == value, f"{path} is NaN"
@@ -252,6 +258,7 @@ def test_info_has_the_same_keys_of_plain_types_at_reset_and_every_step(env_id: s
         assert [type(x) for x in (reward, terminated, truncated)] == [float, bool, bool]
         assert info["margin_ct_m"] == info["al_ct_m"] - info["pl_ct_m"]
         assert info["cost"] >= 0.0
+        assert info["costs"].tolist() == [info[cause] for cause in CAUSES]
         if terminated or truncated:
             env.reset()
 

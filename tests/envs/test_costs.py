@@ -18,7 +18,7 @@ from lanebound.envs.batch.records_kernel import BELIEF, PERCEIVED, SCORE
 from lanebound.envs.batch.rules import cost_figures
 from lanebound.envs.batch.score_kernel import count_epoch
 from lanebound.envs.belief_loop import BeliefLoop
-from lanebound.envs.costs import CostConfig
+from lanebound.envs.costs import CAUSES, GROUPS, CostConfig
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records
 from vehicles import cars_at, record_of
@@ -248,6 +248,46 @@ def _share_lacking(env: DrivingEnv, gap_m: float, bound_m: float) -> float:
 def test_to_end_an_episode_badly_costs_more_than_any_limit(env_id: str) -> None:
     config = make_config(env_id)
     assert min(config.cost.collision, config.cost.off_road) > config.cost_limit
+
+
+def test_groups_are_parts_of_the_weighted_cost() -> None:
+    """Each cause is in one group at most, and with crashes, exits and context they are the whole."""
+    grouped = [cause for causes in GROUPS.values() for cause in causes]
+    assert set(CAUSES) - set(grouped) == {"cost_collision", "cost_off_road", "cost_context"}
+    assert len(grouped) == len(set(grouped))
+    env = DrivingEnv(make_config("lanebound/CarFollowing-v0", {"sky": "dense", "cost": {"context": 0.3}}))
+    env.reset(seed=3)
+    env.action_space.seed(3)
+    seen = np.zeros(len(CAUSES))
+    for _ in range(40):
+        *_, terminated, truncated, info = env.step(env.action_space.sample())
+        parts = [info["costs"] @ env.config.cost.weights_of(group) for group in GROUPS]
+        assert parts == pytest.approx([env.config.cost.of_group(group, info) for group in GROUPS])
+        rest = 200.0 * (info["cost_collision"] + info["cost_off_road"]) + 0.3 * info["cost_context"]
+        assert sum(parts) + rest == pytest.approx(info["cost"])
+        seen += info["costs"]
+        if terminated or truncated:
+            break
+    assert np.count_nonzero(seen) >= 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cost_limits": {"lane": -1.0}}, r"cost_limits.lane must be >= 0, got -1"),
+        ({"cost_limits": {"lanes": 1.0}}, r"cost_limits.lanes .*'cost_limits.lane'"),
+        ({"cost_limits": {"hmi": 1.0}, "cost": {"hmi": 0.0}}, r"cost_limits.hmi must be left out .* raise cost.hmi"),
+        (
+            {"cost_limits": {"lane": 1.0}, "cost": {"lane": 0.0, "lane_integrity": 0.0}},
+            r"cost_limits.lane .* got 1: raise cost.lane or cost.lane_integrity",
+        ),
+    ],
+)
+def test_a_limit_of_a_group_is_refused_where_it_cannot_hold_anything_back(changes: Any, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make_config("lanebound/LaneKeeping-v0", changes)
+    half = {"cost_limits": {"lane": 1.0, "alert": 0.0}, "cost": {"lane": 0.0}}
+    assert make_config("lanebound/LaneKeeping-v0", half).cost_limits.given == {"lane": 1.0, "alert": 0.0}
 
 
 def test_leaving_the_road_costs_once() -> None:

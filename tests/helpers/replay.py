@@ -125,6 +125,8 @@ class Replay:
         for key, value in info.items():
             if isinstance(value, dict):
                 self._same_info(f"{name} {key}", where, got[key], value)
+            elif isinstance(value, np.ndarray):
+                self._equal(f"{name} {key}", where, got[key].tolist(), value.tolist())
             else:
                 self._equal(f"{name} {key}", where, got[key], value)
 

@@ -206,6 +206,8 @@ def _same_info(tally: Tally, where: str, got: dict[str, Any], info: dict[str, An
             _same_info(tally, f"{where} {name}", got[name], value)
         elif type(value) is not type(got[name]):
             tally.mismatches.append(f"{where} {name}: {got[name]!r} {value!r}")
+        elif isinstance(value, np.ndarray):
+            tally.info = max(tally.info, float(np.abs(value - got[name]).max()))
         elif isinstance(value, float):
             difference = 0.0 if value == got[name] else abs(value - got[name])
             tally.info = max(tally.info, difference)

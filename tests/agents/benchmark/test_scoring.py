@@ -12,6 +12,8 @@ from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.outcome import LEVEL_MAX_M
 from lanebound.agents.benchmark.scoring import outcome_of, outcome_of_statistics
 from lanebound.agents.learning.evaluation import JUDGED
+from lanebound.envs import make_config
+from lanebound.envs.costs import GROUPS
 from lanebound.envs.episode_totals import EpisodeTotals
 from lanebound.envs.observation.config import ObservationConfig
 from lanebound.integrity.positioning.modes import Mode
@@ -105,14 +107,42 @@ def test_an_agent_that_fails_at_once_has_no_shares():
 def test_statistics_of_the_engine_give_the_metrics_of_rows():
     """Without the rows the way is the speed times the time."""
     driven = rows(50, speed_mps=10.0, true_y_m=0.0, cost_lane=[0.0] * 40 + [0.1] * 11, cost=0.5, crashed=True)
-    wanted = outcome_of(driven, 40.0, cost_limit=15.0)
+    config = make_config("lanebound/LaneKeeping-v0", {"cost_limits": dict.fromkeys(GROUPS, 1.0)})
+    wanted = outcome_of(driven, 40.0, config=config)
     totals = EpisodeTotals(1)
     for row in driven[1:]:
         totals.add(row["reward"], row | {"mode": int(next(mode for mode in Mode if mode.key == row["mode"]))})
     statistics = totals.report(0, True)
-    more = {"time_s": wanted.time_s, "allotted_s": 40.0, "cost_limit": 15.0}
-    found = outcome_of_statistics(driven[-1], statistics, wanted.task, **more)
+    more = {"time_s": wanted.time_s, "allotted_s": 40.0}
+    found = outcome_of_statistics(driven[-1], statistics, wanted.task, config, **more)
     for key in JUDGED:
         metric = metric_named(key)
         extra = wanted.cost / 51 if key == "cost" else 0.0  # of the start, which statistics leave out
         assert metric.take(found) + extra == pytest.approx(metric.take(wanted)), key
+
+
+def test_costs_of_groups_are_held_against_their_limits():
+    """3 steps of 1 m2 beyond the lane at a weight of 2 are 6; the levels beyond it add 3 x 4 at a weight of 0.5."""
+    driven = rows(2, cost_lane=1.0, cost_lane_integrity=4.0, cost_alert=2.0, cost=5.0)
+    weights = {"lane": 2.0, "lane_integrity": 0.5, "alert": 0.25}
+
+    def taken(key: str, limit: float = 15.0, **limits: float) -> float | None:
+        changes = {"cost": weights, "cost_limit": limit, "cost_limits": limits}
+        return metric_named(key).take(outcome_of(driven, 1.0, config=make_config("lanebound/LaneKeeping-v0", changes)))
+
+    outcome = outcome_of(driven, 1.0, config=make_config("lanebound/Highway-v0", {"cost_limits": {"alert": 1.0}}))
+    assert (outcome.cost_limits, outcome.group_costs) == ({"alert": 1.0}, {"alert": 0.5 * 6.0})
+    assert outcome.flat()["cost_limit_alert"] == 1.0
+    assert outcome.flat()["group_cost_alert"] == 3.0
+    assert [taken("over_lane_limit", lane=limit) for limit in (11.9, 12.0)] == [1.0, 0.0]
+    assert [taken("over_alert_limit", alert=limit) for limit in (1.4, 1.5)] == [1.0, 0.0]
+    assert taken("over_hmi_limit", lane=1.0) is taken("over_lane_limit") is taken("within_all_limits") is None
+    assert taken("within_all_limits", lane=12.0, alert=1.5) == 1.0
+    assert taken("within_all_limits", lane=12.0, alert=1.4) == 0.0
+    assert taken("within_all_limits", limit=14.9, lane=12.0) == 0.0
+
+
+def test_an_agent_that_failed_kept_no_limit():
+    config = make_config("lanebound/LaneKeeping-v0", {"cost_limits": {"lane": 1.0}})
+    failed = outcome_of([], 1.0, config=config, status="raised")
+    assert metric_named("over_lane_limit").take(failed) is metric_named("within_all_limits").take(failed) is None

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
-from lanebound.agents.learning.costs import EpisodeCosts, advantages, costs_in
+from lanebound.agents.learning.costs import EpisodeCosts, advantages
 from lanebound.agents.learning.multiplier import MultiplierConfig
 from lanebound.agents.learning.ppo_lagrangian import PPOLagrangian
 from lanebound.integrity.core.errors import InputError
@@ -41,24 +41,51 @@ def test_it_comes_to_the_limit_where_plain_ppo_takes_all_there_is(toll: Any) -> 
     total, cost = toll.driven_by(bound)
     assert 1.5 < cost < 3.5
     assert 3.8 < total < 6.0
-    assert bound.multiplier.value > 0.1
+    assert bound.constraints.values[0] > 0.1
+
+
+def test_each_cost_comes_to_its_own_limit(two_tolls: Any, two_limits: Any) -> None:
+    """The whole cost may be 10: it holds nothing back. One limit of the sum would make both shares equal."""
+    torch.set_num_threads(1)
+    settings = {**SETTINGS, "cost_limit": 10.0, "cost_limits": two_limits}
+    model = PPOLagrangian("MlpPolicy", make_vec_env(two_tolls, 4, seed=1), **settings).learn(40_000)
+    whole, lane, headway = model.constraints.values
+    assert whole < 0.05
+    assert min(lane, headway) > 0.1
+    assert two_tolls.shares_of(model) == pytest.approx([0.3, 0.5], abs=0.1)
+
+
+def test_a_multiplier_pulls_its_own_action_alone(two_tolls: Any, two_limits: Any) -> None:
+    """The objective of a step is that of its equation: advantages of each cost, weighed by its own multiplier."""
+    torch.set_num_threads(1)
+    config = MultiplierConfig(start=0.0, integral=0.0, proportional=0.0)
+    settings = {**SETTINGS, "cost_limit": 10.0, "cost_limits": two_limits, "multiplier": config, "ent_coef": 0.0}
+    model = PPOLagrangian("MlpPolicy", make_vec_env(two_tolls, 4, seed=1), **settings)
+    model.constraints.multipliers[1].config = config.replace(proportional=15.0, most=1.0)
+    model.constraints.multipliers[1].limit = 1e-3  # exceeded for sure: the multiplier of the lane is 15
+    before = two_tolls.shares_of(model)
+    model.learn(2_000)
+    after = two_tolls.shares_of(model)
+    assert model.constraints.values == [0.0, 15.0, 0.0]
+    assert after[0] < before[0] - 0.05
+    assert after[1] > before[1]
 
 
 def test_where_the_limit_is_out_of_reach_the_multiplier_dies_out(toll: type) -> None:
     model = learner(toll, cost_limit=50.0).learn(6_000)
-    assert model.multiplier.value == 0.0
+    assert model.constraints.values == [0.0]
 
 
 def test_advantages_are_those_of_the_sum_written_out() -> None:
     rng = np.random.default_rng(1)
-    costs, values = rng.normal(size=(2, 7, 3)).astype(np.float32)
-    last, dones = rng.normal(size=3).astype(np.float32), rng.random((7, 3)) < 0.3
+    costs, values = rng.normal(size=(2, 7, 3, 2)).astype(np.float32)
+    last, dones = rng.normal(size=(3, 2)).astype(np.float32), rng.random((7, 3)) < 0.3
     found, returns = advantages(costs, values, last, dones, 0.9, 0.8)
     after = np.concatenate([values[1:], last[None]])
-    delta = costs + 0.9 * after * ~dones - values
+    delta = costs + 0.9 * after * ~dones[..., None] - values
     for n in range(3):
         for t in range(7):
-            total, weight = 0.0, 1.0
+            total, weight = np.zeros(2), 1.0
             for k in range(t, 7):
                 total += weight * delta[k, n]
                 if dones[k, n]:
@@ -69,12 +96,12 @@ def test_advantages_are_those_of_the_sum_written_out() -> None:
 
 
 def test_costs_of_episodes_are_summed_in_each_environment() -> None:
-    episodes = EpisodeCosts(2)
-    episodes.add(np.array([1.0, 10.0], np.float32), np.array([False, False]))
-    episodes.add(np.array([2.0, 20.0], np.float32), np.array([True, False]))
-    episodes.add(np.array([4.0, 40.0], np.float32), np.array([False, True]))
-    assert episodes.take() == [3.0, 70.0]
-    assert episodes.take() == []
+    episodes = EpisodeCosts(2, 2)
+    episodes.add(np.array([[1.0, 0.5], [10.0, 0.0]], np.float32), np.array([False, False]))
+    episodes.add(np.array([[2.0, 0.5], [20.0, 0.0]], np.float32), np.array([True, False]))
+    episodes.add(np.array([[4.0, 4.0], [40.0, 7.0]], np.float32), np.array([False, True]))
+    assert episodes.take().tolist() == [[3.0, 1.0], [70.0, 7.0]]
+    assert episodes.take().shape == (0, 2)
 
 
 def test_a_cut_off_episode_is_worth_what_its_end_is(toll: type) -> None:
@@ -82,18 +109,20 @@ def test_a_cut_off_episode_is_worth_what_its_end_is(toll: type) -> None:
     model = learner(toll)
     model._setup_learn(400)
     model.cost_critic.net[-1].weight.data.zero_()
-    model.cost_critic.net[-1].bias.data.fill_(7.0 / model.cost_limit)  # a critic that says 7 everywhere
+    model.cost_critic.net[-1].bias.data.fill_(7.0 / 2.5)  # a critic that says 7 everywhere
     end = {"cost": 0.5, "TimeLimit.truncated": True, "terminal_observation": np.zeros(2, np.float32)}
     going = {"cost": 0.5}
     model._update_info_buffer([end, going, {"cost": 0.5}, going], np.array([True, False, True, False]))
-    assert model._costs[-1].tolist() == pytest.approx([0.5 + 0.99 * 7.0, 0.5, 0.5, 0.5])
+    assert model._costs[-1][:, 0].tolist() == pytest.approx([0.5 + 0.99 * 7.0, 0.5, 0.5, 0.5])
 
 
-def test_a_checkpoint_holds_critic_optimiser_and_multiplier(toll: type, tmp_path: Path) -> None:
-    model = learner(toll, multiplier=MultiplierConfig(start=0.7)).learn(800)
+def test_a_checkpoint_holds_critic_optimiser_and_multipliers(two_tolls: type, two_limits: Any, tmp_path: Path) -> None:
+    model = learner(two_tolls, multiplier=MultiplierConfig(start=0.7), cost_limits=two_limits).learn(800)
     model.save(tmp_path / "model.zip")
-    again = PPOLagrangian.load(tmp_path / "model.zip", env=make_vec_env(toll, 4, seed=1), device="cpu")
-    assert again.multiplier == model.multiplier
+    again = PPOLagrangian.load(tmp_path / "model.zip", env=make_vec_env(two_tolls, 4, seed=1), device="cpu")
+    assert len(model.constraints.multipliers) == 3
+    assert again.constraints.multipliers == model.constraints.multipliers
+    assert again.cost_critic.scale.tolist() == pytest.approx([2.5, 0.9, 2.5])
     for old, new in zip(model.cost_critic.parameters(), again.cost_critic.parameters(), strict=True):
         assert torch.equal(old, new)
     assert again.cost_optimizer.state_dict()["state"].keys() == model.cost_optimizer.state_dict()["state"].keys()
@@ -104,12 +133,10 @@ def test_a_checkpoint_holds_critic_optimiser_and_multiplier(toll: type, tmp_path
 def test_the_same_seed_learns_the_same(toll: type) -> None:
     one, other = (learner(toll).learn(800) for _ in range(2))
     assert torch.equal(one.policy.mlp_extractor.policy_net[0].weight, other.policy.mlp_extractor.policy_net[0].weight)
-    assert one.multiplier == other.multiplier
+    assert one.constraints.multipliers == other.constraints.multipliers
 
 
 def test_what_it_cannot_learn_from_is_refused(toll: type) -> None:
-    with pytest.raises(InputError, match="info must hold 'cost'"):
-        costs_in([{"cost": 1.0}, {}])
     free = gymnasium.make("CartPole-v1")
     with pytest.raises(InputError, match="info must hold 'cost'"):
         PPOLagrangian("MlpPolicy", free, device="cpu", n_steps=16, batch_size=16).learn(16)

@@ -42,6 +42,40 @@ def test_an_experiment_leaves_checkpoints_a_card_and_its_progress(tmp_path: Path
     assert load_model(tmp_path / "last.zip", experiment(algorithm="ppo_lagrangian").algorithm).num_timesteps == 128
 
 
+@pytest.mark.parametrize("algorithm", ["ppo_lagrangian", "sac_lagrangian"])
+def test_each_limit_is_learnt_under_logged_and_judged(algorithm: str, tmp_path: Path) -> None:
+    settings = {"learning_starts": 20, "batch_size": 32} if algorithm == "sac_lagrangian" else experiment().settings
+    overrides = {**experiment().overrides, "cost_limits": {"lane": 1e-6, "hmi": 3.0}}
+    planned = experiment(
+        algorithm=algorithm, settings=settings, overrides=overrides, steps=256, checkpoint_steps=128
+    )  # two updates a checkpoint, as a log is written before the next one
+    assert planned.limits() == {"cost": 15.0, "group_cost_lane": 1e-6, "group_cost_hmi": 3.0}
+    rows = train(planned.replace(steps=128), tmp_path)
+    last = train(planned, tmp_path)[-1]  # which goes on with all multipliers
+    assert len(rows) == 1
+    assert last["within_all_limits"] == float(last["group_cost_lane"] <= 1e-6 and last["cost"] <= 15.0)
+    assert last["over_lane_limit"] == float(last["group_cost_lane"] > 1e-6)
+    assert last["over_hmi_limit"] == last["group_cost_hmi"] == last["group_cost_hmi_se"] == 0.0
+    logs = [EventAccumulator(str(folder)) for folder in (tmp_path / "logs").iterdir()]
+    tags = {tag for log in logs for tag in log.Reload().Tags()["scalars"]}
+    for name in ("multiplier", "episode_mean"):
+        assert {f"cost/{name}{suffix}" for suffix in ("", "_lane", "_hmi")} <= tags
+    loaded = load_model(tmp_path / "last.zip", planned.algorithm)
+    assert loaded.constraints.limits == [15.0, 1e-6, 3.0]  # type: ignore[attr-defined]
+
+
+def test_a_training_of_one_multiplier_is_judged_but_not_resumed(tmp_path: Path) -> None:
+    """As files of versions before ``cost_limits`` are, which hold ``multiplier`` in the place of ``constraints``."""
+    planned = experiment(algorithm="ppo_lagrangian", steps=64)
+    train(planned, tmp_path)
+    model = load_model(tmp_path / "last.zip", planned.algorithm)
+    model.multiplier = vars(model).pop("constraints").multipliers[0]  # type: ignore[attr-defined]
+    model.save(tmp_path / "last.zip")
+    with pytest.raises(InputError, match="out must hold a training of this version"):
+        train(planned.replace(steps=128), tmp_path)
+    assert evaluate(planned, load_model(tmp_path / "last.zip", planned.algorithm))["length"] > 0
+
+
 def test_a_stop_loses_no_checkpoint_and_the_same_call_goes_on(tmp_path: Path) -> None:
     def stop(checkpoint: Checkpoint) -> None:
         raise StoppedError
@@ -164,7 +198,7 @@ def test_the_logs_hold_costs_by_cause_and_what_integrity_came_to(tmp_path: Path)
 
 def test_the_best_is_by_return_within_the_limit_and_by_cost_outside() -> None:
     def best(*rows: tuple[float, float], se: float = 0.0) -> bool:
-        return is_best([{"return": value, "cost": cost, "cost_se": se} for value, cost in rows], 10.0)
+        return is_best([{"return": value, "cost": cost, "cost_se": se} for value, cost in rows], {"cost": 10.0})
 
     assert best((5.0, 50.0))
     assert best((5.0, 50.0), (4.0, 40.0))
@@ -174,6 +208,19 @@ def test_the_best_is_by_return_within_the_limit_and_by_cost_outside() -> None:
     assert not best((1.0, 1.0), (9.0, 11.0))
     assert not best((1.0, 1.0), (9.0, 9.5), se=1.0)  # lucky, perhaps
     assert best((1.0, 1.0), (9.0, 8.5), se=1.0)
+
+
+def test_the_best_is_within_all_limits_and_else_the_least_beyond_any() -> None:
+    limits = {"cost": 10.0, "group_cost_lane": 2.0}
+
+    def best(*rows: tuple[float, float, float]) -> bool:
+        return is_best([dict(zip(("return", *limits), row, strict=True)) for row in rows], limits)
+
+    assert not best((1.0, 9.0, 2.0), (9.0, 5.0, 2.1))  # more return, but one limit is exceeded
+    assert best((9.0, 5.0, 2.1), (1.0, 9.0, 2.0))
+    assert best((1.0, 5.0, 6.0), (1.0, 20.0, 2.0))  # threefold, then twofold
+    assert not best((1.0, 20.0, 2.0), (1.0, 5.0, 6.0))
+    assert is_best([{"return": 1.0, "cost": 1.0}, {"return": 2.0, "cost": 1e6}], {})
 
 
 @pytest.mark.parametrize("name", [n.partition("/")[2] for n in preset_names() if n.startswith("experiments/")])
