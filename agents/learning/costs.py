@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -83,22 +85,36 @@ class CostCritic(nn.Module):
 
 
 class EpisodeCosts:
-    """Sums of costs over episodes, in N environments side by side."""
+    """Mean cost of an episode, of the latest ones of N environments side by side.
 
-    def __init__(self, count: int) -> None:
+    Every environment counts alike, by its own latest episodes, and the mean is known once each has ended one: among
+    those that end within a time, short ones are too many. Of 64 environments that begin together only the crashed have
+    ended at first, at 14 times the limit.
+
+    Parameters
+    ----------
+    count : N
+    window : episodes, of all environments together, that the mean is of; at least one of each
+    """
+
+    def __init__(self, count: int, window: int = 1) -> None:
         self._running = np.zeros(count)
-        self._ended: list[float] = []
+        self._latest = [deque[float](maxlen=max(-(-window // count), 1)) for _ in range(count)]
+        self._fresh = False
 
     def add(self, costs: Array, dones: NDArray[np.bool_]) -> None:
         """A step of all environments."""
         self._running += costs
-        self._ended += self._running[dones].tolist()
-        self._running[dones] = 0.0
+        for n in np.flatnonzero(dones):
+            self._latest[n].append(float(self._running[n]))
+            self._running[n], self._fresh = 0.0, True
 
-    def take(self) -> list[float]:
-        """The episodes that have ended since the last call."""
-        ended, self._ended = self._ended, []
-        return ended
+    def take(self) -> float | None:
+        """The mean, if an episode has ended since the last call."""
+        if not self._fresh or not all(self._latest):
+            return None
+        self._fresh = False
+        return fmean(fmean(costs) for costs in self._latest)
 
 
 def advantages(

@@ -61,7 +61,7 @@ class PPOLagrangian(PPO):
         super()._setup_model()
         self.cost_critic = CostCritic(require_flat(self.observation_space), self.cost_limit).to(self.device)
         self.cost_optimizer = torch.optim.Adam(self.cost_critic.parameters(), lr=self.cost_learning_rate)
-        self._episodes = EpisodeCosts(self.n_envs)
+        self._episodes = EpisodeCosts(self.n_envs, self.multiplier.config.window)
         self._costs: list[NDArray[np.float32]] = []
         self._dones: list[NDArray[np.bool_]] = []
 
@@ -84,10 +84,10 @@ class PPOLagrangian(PPO):
 
     def train(self) -> None:
         """Update the multiplier, then the policy by both advantages, then the cost critic."""
-        ended = self._episodes.take()
-        if ended:
-            self.multiplier.update(ended, self.num_timesteps)
-            self.logger.record("cost/episode_mean", float(np.mean(ended)))
+        mean = self._episodes.take()
+        if mean is not None:
+            self.multiplier.update(mean, self.num_timesteps)
+            self.logger.record("cost/episode_mean", mean)
         weight, buffer = self.multiplier.value, self.rollout_buffer
         seen = buffer.observations.reshape(buffer.buffer_size * self.n_envs, -1).copy()
         values = self.cost_critic.of(buffer.observations)

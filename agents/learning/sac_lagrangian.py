@@ -109,17 +109,17 @@ class SACLagrangian(SAC):
         self.cost_critic = CostCritic(size, self.cost_limit, (256, 256)).to(self.device)
         self.cost_target = copy.deepcopy(self.cost_critic)
         self.cost_optimizer = torch.optim.Adam(self.cost_critic.parameters(), lr=float(self.lr_schedule(1.0)))
-        self._episodes = EpisodeCosts(self.n_envs)
+        self._episodes = EpisodeCosts(self.n_envs, self.multiplier.config.window)
 
     def _update_info_buffer(self, infos: list[dict[str, Any]], dones: NDArray[np.bool_] | None = None) -> None:
         """Called once a step: what it cost; the multiplier moves when an episode has ended."""
         super()._update_info_buffer(infos, dones)
         ended = np.zeros(len(infos), dtype=np.bool_) if dones is None else np.asarray(dones, dtype=np.bool_)
         self._episodes.add(costs_in(infos), ended)
-        finished = self._episodes.take()
-        if finished:
-            self.multiplier.update(finished, self.num_timesteps)
-            self.logger.record_mean("cost/episode_mean", float(np.mean(finished)))
+        mean = self._episodes.take()
+        if mean is not None:
+            self.multiplier.update(mean, self.num_timesteps)
+            self.logger.record_mean("cost/episode_mean", mean)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """Steps of the critics of reward and cost, the actor, and the temperature."""
