@@ -166,7 +166,8 @@ def train(
         if model.num_timesteps:  # a loaded model has its first seed: it would repeat the same noise
             set_random_seed(episode_seeds(experiment, model.num_timesteps, "learning"))
         env.seed(episode_seeds(experiment, model.num_timesteps))  # stable-baselines3 has seeded it otherwise
-        watch = _Watch(stepped)
+        first = 0 if experiment.imitation is None else experiment.imitation.critic_steps
+        watch = [_Watch(stepped), _CriticsFirst(first)]
         while model.num_timesteps < experiment.steps:
             chunk = min(experiment.checkpoint_steps, experiment.steps - model.num_timesteps)
             with _converging(model, out, "settings.learning_rate"):
@@ -353,6 +354,26 @@ class _Watch(BaseCallback):
                 for name, value in _logged(info[EPISODE_KEY]):
                     self.logger.record_mean(name, value)
         self._stepped(self.num_timesteps)
+        return True
+
+
+class _CriticsFirst(BaseCallback):
+    """Keeps the actor as it is in updates of the first ``steps`` decisions, while critics learn."""
+
+    def __init__(self, steps: int) -> None:
+        super().__init__()
+        self._steps = steps
+
+    def _on_rollout_end(self) -> None:
+        policy: Any = self.model.policy
+        if self._steps:
+            learns = self.num_timesteps > self._steps
+            for module in (policy.mlp_extractor.policy_net, policy.action_net):
+                module.requires_grad_(learns)
+            if hasattr(policy, "log_std"):
+                policy.log_std.requires_grad_(learns)
+
+    def _on_step(self) -> bool:
         return True
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 from copy import deepcopy
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,24 @@ def test_learning_goes_on_from_there_and_imitates_once(tmp_path: Path) -> None:
     assert "after imitating `integrity_aware`" in (tmp_path / "best.md").read_text()
     rows = train(experiment(algorithm="ppo_lagrangian", imitation=SMALL, steps=192), tmp_path)
     assert [row["steps"] for row in rows] == [0, 64, 128, 192]
+
+
+@pytest.mark.parametrize("env", ["LaneKeeping", "Highway"])  # continuous actions, and discrete ones
+def test_critics_learn_first(tmp_path: Path, env: str) -> None:
+    """The actor stays as it was imitated in the updates of the first decisions, and learns after them."""
+    kept: list[dict[str, torch.Tensor]] = []
+
+    def judge(_: ExperimentConfig, model: Any) -> dict[str, float]:
+        kept.append(deepcopy(model.policy.state_dict()))
+        return {"return": 0.0, "cost": 0.0}
+
+    overrides = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 4.0}
+    train(experiment(env=env, overrides=overrides, imitation={**SMALL, "critic_steps": 64}), tmp_path, judge=judge)
+    first, second = (
+        {name for name in before if not torch.equal(before[name], after[name])} for before, after in pairwise(kept)
+    )
+    assert first == {name for name in kept[0] if "value" in name}
+    assert second == set(kept[0])
 
 
 def test_the_same_seed_imitates_alike(tmp_path: Path) -> None:
