@@ -22,7 +22,7 @@ __all__ = ["Multiplier", "MultiplierConfig"]
 class MultiplierConfig(Config):
     """Gains of the controller, on the relative excess over the limit."""
 
-    proportional: float = Field(0.05, ge=0, description="K_P [-]")
+    proportional: float = Field(0.3, ge=0, description="K_P [-]")
     integral: float = Field(0.02, ge=0, description="K_I, by update [-]; small: at 0.05 policies stood still")
     derivative: float = Field(0.0, ge=0, description="K_D, of growing costs alone [-]; Stooke 2020")
     smoothing: float = Field(
@@ -32,7 +32,7 @@ class MultiplierConfig(Config):
     start: float = Field(0.1, ge=0, description="multiplier before the first update [-]")
     after_steps: int = Field(0, ge=0, description="decisions of learning without a limit, before it counts")
     window: int = Field(
-        100, ge=1, description="episodes, the latest, whose mean cost counts; at least one of each environment"
+        64, ge=1, description="episodes, the latest, whose mean cost counts; at least one of each environment"
     )
     largest: float = Field(20.0, gt=0, description="multiplier at most [-]; the integral stops there too")
 
