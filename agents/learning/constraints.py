@@ -71,6 +71,7 @@ class Constraints:
 
     Attributes
     ----------
+    window : episodes that mean costs are of
     suffixes : names of the limits in logs: nothing for the whole, ``_lane`` and so on
 
     Raises
@@ -80,7 +81,7 @@ class Constraints:
     """
 
     def __init__(self, cost_limit: float, groups: Sequence[GroupLimit], config: MultiplierConfig) -> None:
-        self.groups = tuple(groups)
+        self.groups, self.window = tuple(groups), config.window
         self.suffixes = ("", *(f"_{one.group}" for one in self.groups))
         self.multipliers = [Multiplier(cost_limit, config)]
         self.multipliers += [Multiplier(one.limit, config, f"cost_limits.{one.group}") for one in self.groups]
@@ -95,10 +96,10 @@ class Constraints:
         """The multipliers, (K,)."""
         return [one.value for one in self.multipliers]
 
-    def update(self, ended: NDArray[np.float64], steps: float = math.inf) -> None:
-        """Move each multiplier by the costs of episodes that have ended, (E, K), after ``steps`` decisions."""
-        for one, costs in zip(self.multipliers, ended.T.tolist(), strict=True):
-            one.update(costs, steps)
+    def update(self, means: Sequence[float], steps: float = math.inf) -> None:
+        """Move each multiplier by the mean cost (K,) of the latest episodes, after ``steps`` decisions."""
+        for one, cost in zip(self.multipliers, means, strict=True):
+            one.update(cost, steps)
 
     def named(self, name: str, values: Sequence[float]) -> dict[str, float]:
         """Values (K,) by their names in logs: ``cost/NAME`` and the suffix of the limit."""

@@ -170,6 +170,11 @@ class ImitationConfig(Config):
     epochs: int = Field(20, ge=1, le=1000, description="after each round, over all labels")
     batch_size: int = Field(256, ge=1, description="decisions that a step of the fit takes")
     learning_rate: float = Field(1e-3, gt=0, le=1, description="of the fit, by Adam")
+    critics_first: bool = Field(
+        True,
+        description="whether critics alone learn by reward until each environment has ended an episode: by critics of "
+        "random values the policy would unlearn",
+    )
 
     @field_validator("observation")
     @classmethod

@@ -1,8 +1,7 @@
 """The Lagrange multiplier of a cost limit, under PID control (Stooke, Achiam and Abbeel 2020, algorithm 2).
 
 Symbols: J_C mean cost of the latest episodes, d its limit, Delta = (J_C - d) / d the excess, I its integral, lambda
-multiplier. J_C is a mean over a hundred episodes: environments that begin together end together, so that one update may
-have fifty episodes and the next one a single crash, with equal weight; and with rare crashes most excesses of single
+multiplier. J_C is a mean over many episodes (:class:`.costs.EpisodeCosts`): with rare crashes most excesses of single
 episodes are negative and the others cut off, whatever their mean.
 
 No term takes more of an excess than the integral can reduce below the limit: crashes at the beginning cost 14 times the
@@ -12,8 +11,7 @@ limit, and a multiplier driven by them makes a policy stand still for long.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
@@ -24,7 +22,7 @@ __all__ = ["Multiplier", "MultiplierConfig"]
 class MultiplierConfig(Config):
     """Gains of the controller, on the relative excess over the limit."""
 
-    proportional: float = Field(0.05, ge=0, description="K_P [-]")
+    proportional: float = Field(0.3, ge=0, description="K_P [-]")
     integral: float = Field(0.02, ge=0, description="K_I, by update [-]; small: at 0.05 policies stood still")
     derivative: float = Field(0.0, ge=0, description="K_D, of growing costs alone [-]; Stooke 2020")
     smoothing: float = Field(
@@ -34,7 +32,7 @@ class MultiplierConfig(Config):
     start: float = Field(0.1, ge=0, description="multiplier before the first update [-]")
     after_steps: int = Field(0, ge=0, description="decisions of learning without a limit, before it counts")
     window: int = Field(
-        100, ge=1, description="episodes, the latest, whose mean cost counts; all since the last update are among them"
+        64, ge=1, description="episodes, the latest, whose mean cost counts; at least one of each environment"
     )
     largest: float = Field(20.0, gt=0, description="multiplier at most [-]; the integral stops there too")
 
@@ -63,7 +61,6 @@ class Multiplier:
     name: str = "cost_limit"
     value: float = 0.0
     integral: float = 0.0
-    latest: list[float] = field(default_factory=list)  # costs of episodes
     _seen: float | None = None  # smoothed excess
     _slow: float | None = None  # smoothed cost, of the derivative
 
@@ -76,13 +73,12 @@ class Multiplier:
         self.value = 0.0 if self.config.after_steps else self.config.start
         self.integral = self.config.start / self.config.integral if self.config.integral > 0.0 else 0.0
 
-    def update(self, costs: Sequence[float], steps: float = math.inf) -> float:
-        """Take the costs of the episodes since the last update, after ``steps`` decisions; returns the new value."""
+    def update(self, cost: float, steps: float = math.inf) -> float:
+        """Take the mean cost of the latest episodes, after ``steps`` decisions; returns the new value."""
         c = self.config
         if steps < c.after_steps:
             return self.value
-        self.latest = [*self.latest, *costs][-max(c.window, len(costs)) :]
-        excess = min((math.fsum(self.latest) / len(self.latest) - self.limit) / self.limit, c.most)
+        excess = min((cost - self.limit) / self.limit, c.most)
         ceiling = c.largest / c.integral if c.integral > 0.0 else math.inf
         self.integral = min(max(self.integral + excess, 0.0), ceiling)
         self._seen = excess if self._seen is None else c.smoothing * self._seen + (1.0 - c.smoothing) * excess

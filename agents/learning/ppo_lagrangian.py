@@ -66,7 +66,7 @@ class PPOLagrangian(PPO):
         limits = self.constraints.limits
         self.cost_critic = CostCritic(require_flat(self.observation_space), limits).to(self.device)
         self.cost_optimizer = torch.optim.Adam(self.cost_critic.parameters(), lr=self.cost_learning_rate)
-        self._episodes = EpisodeCosts(self.n_envs, len(limits))
+        self._episodes = EpisodeCosts(self.n_envs, len(limits), self.constraints.window)
         self._costs: list[NDArray[np.float32]] = []
         self._dones: list[NDArray[np.bool_]] = []
 
@@ -89,10 +89,10 @@ class PPOLagrangian(PPO):
 
     def train(self) -> None:
         """Update the multipliers, then the policy by all advantages, then the cost critic."""
-        ended = self._episodes.take()
-        if len(ended):
-            self.constraints.update(ended, self.num_timesteps)
-            self._record("episode_mean", ended.mean(axis=0).tolist())
+        means = self._episodes.take()
+        if means is not None:
+            self.constraints.update(means, self.num_timesteps)
+            self._record("episode_mean", means)
         weights, buffer = self.constraints.values, self.rollout_buffer
         seen = buffer.observations.reshape(buffer.buffer_size * self.n_envs, -1).copy()
         values = self.cost_critic.of(buffer.observations)

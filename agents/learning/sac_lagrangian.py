@@ -118,17 +118,17 @@ class SACLagrangian(SAC):
         self.cost_critic = CostCritic(size, limits, (256, 256)).to(self.device)
         self.cost_target = copy.deepcopy(self.cost_critic)
         self.cost_optimizer = torch.optim.Adam(self.cost_critic.parameters(), lr=float(self.lr_schedule(1.0)))
-        self._episodes = EpisodeCosts(self.n_envs, len(limits))
+        self._episodes = EpisodeCosts(self.n_envs, len(limits), self.constraints.window)
 
     def _update_info_buffer(self, infos: list[dict[str, Any]], dones: NDArray[np.bool_] | None = None) -> None:
         """Called once a step: what it cost; the multipliers move when an episode has ended."""
         super()._update_info_buffer(infos, dones)
         ended = np.zeros(len(infos), dtype=np.bool_) if dones is None else np.asarray(dones, dtype=np.bool_)
         self._episodes.add(costs_in(infos, self.constraints.groups), ended)
-        finished = self._episodes.take()
-        if len(finished):
-            self.constraints.update(finished, self.num_timesteps)
-            for key, mean in self.constraints.named("episode_mean", finished.mean(axis=0).tolist()).items():
+        means = self._episodes.take()
+        if means is not None:
+            self.constraints.update(means, self.num_timesteps)
+            for key, mean in self.constraints.named("episode_mean", means).items():
                 self.logger.record_mean(key, mean)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:

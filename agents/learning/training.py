@@ -23,7 +23,9 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
@@ -166,7 +168,9 @@ def train(
         if model.num_timesteps:  # a loaded model has its first seed: it would repeat the same noise
             set_random_seed(episode_seeds(experiment, model.num_timesteps, "learning"))
         env.seed(episode_seeds(experiment, model.num_timesteps))  # stable-baselines3 has seeded it otherwise
-        watch = _Watch(stepped)
+        watch: list[BaseCallback] = [_Watch(stepped)]
+        if experiment.imitation is not None and experiment.imitation.critics_first and model.num_timesteps == 0:
+            watch.append(_CriticsFirst())
         while model.num_timesteps < experiment.steps:
             chunk = min(experiment.checkpoint_steps, experiment.steps - model.num_timesteps)
             with _converging(model, out, "settings.learning_rate"):
@@ -354,6 +358,27 @@ class _Watch(BaseCallback):
                     self.logger.record_mean(name, value)
         self._stepped(self.num_timesteps)
         return True
+
+
+class _CriticsFirst(BaseCallback):
+    """Keeps the actor as it is, while critics learn, until each environment has ended an episode."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._ended: NDArray[np.bool_] | None = None
+
+    def _on_step(self) -> bool:
+        dones = np.asarray(self.locals["dones"], dtype=np.bool_)
+        self._ended = dones if self._ended is None else self._ended | dones
+        return True
+
+    def _on_rollout_end(self) -> None:
+        policy: Any = self.model.policy
+        learns = self._ended is not None and bool(self._ended.all())
+        for module in (policy.mlp_extractor.policy_net, policy.action_net):
+            module.requires_grad_(learns)
+        if hasattr(policy, "log_std"):
+            policy.log_std.requires_grad_(learns)
 
 
 def _logged(episode: Mapping[str, Any]) -> Iterator[tuple[str, float]]:

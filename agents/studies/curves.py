@@ -63,7 +63,7 @@ PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers",
 SECTIONS = ("final values", "checkpoints", "budget")
 FIGURE = "learning-curves.png"
 COUNT = 64  # environments at once
-FAST = {"n_steps": 64, "batch_size": 512}  # five decisions a second
+FAST = {"n_steps": 128, "batch_size": 1024}  # five decisions a second
 SLOW = {"n_steps": 32, "batch_size": 256}  # two
 PACE: dict[str, tuple[int, int, dict[str, int]]] = {
     "LaneKeeping": (100_000, 5_000, FAST),

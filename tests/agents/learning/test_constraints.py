@@ -28,9 +28,10 @@ def test_each_limit_has_a_multiplier_of_its_own() -> None:
     config = MultiplierConfig(start=0.0)
     found = Constraints(10.0, group_limits(make_config("lanebound/LaneKeeping-v0", LIMITED)), config)
     assert found.limits == [10.0, 2.0, 0.5]
-    ended = np.array([[5.0, 3.0, 0.0], [5.0, 5.0, 0.0]])
-    found.update(ended)
-    assert found.values == [Multiplier(limit, config).update(ended[:, k]) for k, limit in enumerate(found.limits)]
+    means = [5.0, 4.0, 0.0]
+    found.update(means)
+    alone = [Multiplier(limit, config).update(mean) for limit, mean in zip(found.limits, means, strict=True)]
+    assert found.values == alone
     assert found.values[0] == found.values[2] == 0.0 < found.values[1]
     named = found.named("multiplier", found.values)
     assert named == {"cost/multiplier": 0.0, "cost/multiplier_lane": found.values[1], "cost/multiplier_hmi": 0.0}

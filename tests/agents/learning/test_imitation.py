@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 from copy import deepcopy
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,40 @@ def test_learning_goes_on_from_there_and_imitates_once(tmp_path: Path) -> None:
     assert "after imitating `integrity_aware`" in (tmp_path / "best.md").read_text()
     rows = train(experiment(algorithm="ppo_lagrangian", imitation=SMALL, steps=192), tmp_path)
     assert [row["steps"] for row in rows] == [0, 64, 128, 192]
+
+
+SOON: dict[str, Any] = {
+    "steps": 64,
+    "checkpoint_steps": 16,
+    "settings": {"n_steps": 8, "batch_size": 16, "n_epochs": 1},
+}
+
+
+@pytest.mark.parametrize(("env", "duration_s"), [("LaneKeeping", 4.0), ("Highway", 10.0)])  # continuous, discrete
+def test_critics_learn_first(tmp_path: Path, env: str, duration_s: float) -> None:
+    """The actor stays as it was until each environment has ended an episode, of 20 decisions, and learns then."""
+    kept: list[dict[str, torch.Tensor]] = []
+
+    def judge(_: ExperimentConfig, model: Any) -> dict[str, float]:
+        kept.append(deepcopy(model.policy.state_dict()))
+        return {"return": 0.0, "cost": 0.0}
+
+    overrides = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": duration_s}
+    train(experiment(env=env, overrides=overrides, imitation=SMALL, **SOON), tmp_path, judge=judge)
+    changed = [
+        {name for name in before if not torch.equal(before[name], after[name])} for before, after in pairwise(kept)
+    ]
+    assert changed[0] == {name for name in kept[0] if "value" in name}
+    assert changed[-1] == set(kept[0])
+
+
+def test_the_policy_may_learn_at_once(tmp_path: Path) -> None:
+    one, other = (
+        train(experiment(imitation={**SMALL, "critics_first": first}, **SOON), tmp_path / str(first))
+        for first in (True, False)
+    )
+    assert one[1] == one[0] | {"steps": 16}
+    assert one[1] != other[1]
 
 
 def test_the_same_seed_imitates_alike(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 from lanebound.agents.learning.costs import EpisodeCosts, advantages
-from lanebound.agents.learning.multiplier import MultiplierConfig
+from lanebound.agents.learning.multiplier import Multiplier, MultiplierConfig
 from lanebound.agents.learning.ppo_lagrangian import PPOLagrangian
 from lanebound.integrity.core.errors import InputError
 
@@ -96,12 +96,42 @@ def test_advantages_are_those_of_the_sum_written_out() -> None:
 
 
 def test_costs_of_episodes_are_summed_in_each_environment() -> None:
-    episodes = EpisodeCosts(2, 2)
+    episodes = EpisodeCosts(2, 2, window=4)
     episodes.add(np.array([[1.0, 0.5], [10.0, 0.0]], np.float32), np.array([False, False]))
     episodes.add(np.array([[2.0, 0.5], [20.0, 0.0]], np.float32), np.array([True, False]))
+    assert episodes.take() is None  # the second environment has ended none yet
     episodes.add(np.array([[4.0, 4.0], [40.0, 7.0]], np.float32), np.array([False, True]))
-    assert episodes.take().tolist() == [[3.0, 1.0], [70.0, 7.0]]
-    assert episodes.take().shape == (0, 2)
+    assert episodes.take() == [(3.0 + 70.0) / 2, (1.0 + 7.0) / 2]
+    assert episodes.take() is None  # none has ended since
+    for cost in (6.0, 5.0, 7.0):
+        episodes.add(np.array([[cost, 0.0], [0.0, 0.0]], np.float32), np.array([True, False]))
+    assert episodes.take() == [((5.0 + 7.0) / 2 + 70.0) / 2, (0.0 + 7.0) / 2]  # two of each, however many have ended
+
+
+@pytest.mark.parametrize(("one_in", "within"), [(14, False), (50, True)])
+def test_the_mean_decides_and_not_how_many_exceed(one_in: int, within: bool) -> None:
+    """Crashes of 200 among episodes of 10: 23.6 and 13.8 in the mean, 15 allowed."""
+    multiplier, episodes = Multiplier(15.0, MultiplierConfig()), EpisodeCosts(4, 1, window=400)
+    for n in range(3000):
+        costs = np.array([200.0 if (4 * n + e) % one_in == one_in - 1 else 10.0 for e in range(4)], np.float32)[:, None]
+        episodes.add(costs, np.ones(4, dtype=np.bool_))
+        means = episodes.take()
+        assert means is not None
+        multiplier.update(means[0])
+    assert multiplier.value == (0.0 if within else MultiplierConfig().largest)
+
+
+def test_short_episodes_do_not_count_more_often() -> None:
+    """One of 48 environments crashes every ten steps, at 200; the others drive a hundred steps at 10."""
+    episodes, found = EpisodeCosts(48, 1, window=48), []
+    for step in range(1, 1001):
+        costs, dones = np.full(48, 0.1, np.float32), np.full(48, step % 100 == 0)
+        costs[0], dones[0] = 20.0, step % 10 == 0
+        episodes.add(costs[:, None], dones)
+        found.append(episodes.take())
+    known = [means[0] for means in found if means is not None]
+    assert found[:99] == [None] * 99
+    assert known == pytest.approx([(200.0 + 47 * 10.0) / 48] * len(known), rel=1e-4)
 
 
 def test_a_cut_off_episode_is_worth_what_its_end_is(toll: type) -> None:
