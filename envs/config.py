@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from lanebound.envs.actuators import ActuatorConfig
 from lanebound.envs.alert_limits import AlertLimit, BudgetConfig
-from lanebound.envs.costs import CostConfig
+from lanebound.envs.costs import AlertSpeed, CostConfig
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.observation import ObservationConfig
 from lanebound.envs.perception import PerceptionConfig
@@ -127,7 +127,7 @@ class EnvConfig(Config):
     @model_validator(mode="before")
     @classmethod
     def _navigator_is_observed(cls, data: Any) -> Any:
-        """What services, context monitor, filter and limits of the navigator report has entries in the observation."""
+        """What services, context monitor, filter, limits of the navigator and the cost report has observed entries."""
         if not isinstance(data, Mapping) or not isinstance(data.get("observation", {}), Mapping):
             return data
         try:
@@ -142,6 +142,7 @@ class EnvConfig(Config):
             "context": _has_context(navigator),
             "filters": navigator.get("kind") == "filter",
             "speed_geometry": _limits_sdop(navigator),
+            "permitted_speed": _follows_level(data.get("cost")),
         }
         given = observation.get("navigator_services")
         if given and isinstance(given, list | tuple) and tuple(given) != shown["navigator_services"]:
@@ -248,6 +249,12 @@ def _limits_sdop(navigator: Mapping[str, Any]) -> bool:
     modes = navigator.get("positioning", {})
     modes = modes.get("mode", {}) if isinstance(modes, Mapping) else {}
     return isinstance(modes, Mapping) and modes.get("doppler_max_sdop") is not None
+
+
+def _follows_level(cost: Any) -> bool:
+    """Whether the speed permitted under an alert follows from the level, by the data of ``cost``."""
+    given = cost.get("alert_speed") if isinstance(cost, Mapping) else getattr(cost, "alert_speed", None)
+    return given in (AlertSpeed.LEVEL, AlertSpeed.LEVEL.value)
 
 
 def _has_context(navigator: Mapping[str, Any]) -> bool:

@@ -103,9 +103,10 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_lane_integrity` | 0.1 | `out v dt`; out: `max(0, abs(d_est) + PL_CT + W/2 - w/2)`, at most 2 m |
     | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt |
     | `cost_conflict` | 10 | peak of `max(0, 1 - T2 / 1.5 s)` in each conflict of crossing courses |
-    | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds half the limit |
+    | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds the permitted speed |
     | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
     | `cost_context` | 0 | dt while the context monitor warns and the car changes lane or exceeds half the limit |
+    | `cost_blocking` | 0 | `max(0, 1 - v cos(psi) / (0.4 v_flow)) dt`, at most dt: slower than others drive there |
 
     - `cost_headway` is also computed with the true gap, true speeds and no PL; the larger value counts.
     - `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with rho = 0.5 s, a
@@ -117,6 +118,14 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
       than `d_RSS` and is not perceived costs dt.
     - During a commanded lane change both lanes count as the lane, where lanes meet or fork each of them. With
       `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0.
+    - An alert permits half the limit (`cost.alert_speed_share`). `cost.alert_speed: level` permits the largest speed v
+      with `v PL <= 0.5 v_limit AL(v)` on both axes: half the limit where a level equals its alert limit, 0 without a
+      level. A step is judged by the speed that was observed before it (`integrity.permitted_speed`).
+    - v_flow is the least of limit, comfortable speed in a bend, speed of a vehicle less than 4 s ahead, and speed from
+      which the car stops in comfort before its lane ends. To stop is right, and `cost_blocking` 0, behind a vehicle
+      that stands and while another one crosses the next 30 m of the way within 7.1 s (HCM 2010).
+    - `cost.standing_speed_mps` is the least v of `cost_lane` and `cost_lane_integrity` (0): a body beyond its lane may
+      be struck at rest as well.
     - Ending an episode early by a crash or off the road exceeds every `cost_limit` but can cost less than a careless
       drive to the end (UrbanCanyon: 230 at once, `nominal` 221 or 355). Without a limit, costs may teach to end early.
     - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.

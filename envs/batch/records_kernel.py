@@ -18,7 +18,7 @@ TERMS = ("progress", "lane_centre", "comfort", "collision", "base")
 """Terms of the reward."""
 CAUSES = (
     "cost_collision", "cost_off_road", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_conflict",
-    "cost_alert", "cost_hmi", "cost_context",
+    "cost_alert", "cost_hmi", "cost_context", "cost_blocking",
 )  # fmt: skip
 """Costs by cause."""
 
@@ -84,6 +84,7 @@ BELIEF = record(
     nis_compass="of the last compass heading of a filter, 0 without",
     trust_m="horizontal trust level of a filter, inf without",
     sdop="speed dilution of precision, inf without a Doppler velocity",
+    permitted_mps="speed permitted at the last decision, where it follows from the level; inf for no bound",
 )
 
 TRACK = record(
@@ -202,6 +203,7 @@ VIEW = record(
     alert="1 while the alert is on; never for an oracle",
     alert_age_s="how long the alert has been on",
     reason="code of AlertReason",
+    permitted_mps="speed permitted where it follows from the level, inf for no bound; always for an oracle",
 )
 EGO = record(
     belief=(BELIEF, "what the ego believes"),
@@ -244,6 +246,9 @@ COST_FIGURES = record(
     alert="weight of cost_alert [1/s]",
     hmi="weight of cost_hmi [1/s]",
     context="weight of cost_context [1/s]",
+    blocking="weight of cost_blocking [1/s]",
+    standing_speed_mps="speed that time beyond the lane counts for at least",
+    blocking_share="share of the speed of the flow below which a car blocks",
     conflict_s="time below which a crossing is a conflict",
     response_s="response time of the RSS distance",
     accelerate_mps2="acceleration during the response",
@@ -275,6 +280,7 @@ RULES = record(
     al_ct_m="alert limit across the track; with a budget before the first decision",
     budgets=("i8", "1 where the alert limits are those of the moment"),
     budget=(BUDGET, "figures of these limits"),
+    permits=("i8", "1 where the speed permitted under an alert follows from the level"),
     actuated=("i8", "1 with limits of steering and a brake that holds"),
     pursues=("i8", "1 where meta-actions steer by pure pursuit"),
     lateral_mps2="largest lateral acceleration that steering asks for, negative for none",
