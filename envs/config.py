@@ -18,6 +18,7 @@ from lanebound.envs.perception import PerceptionConfig
 from lanebound.envs.rendering.config import RenderingConfig
 from lanebound.envs.rewards import RewardConfig
 from lanebound.envs.sky import RECORDING, SKIES, SkyLevel
+from lanebound.envs.worlds.followers import MOTORWAYS, TrafficConfig
 from lanebound.envs.worlds.wander import WanderConfig
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
@@ -105,6 +106,7 @@ class EnvConfig(Config):
         ge=0,
         description="time behind a car at that mean speed at which a success may end; a lead does not count; chosen",
     )
+    traffic: TrafficConfig = Field(TrafficConfig(), description="vehicles behind the ego at the start")
     wander: WanderConfig = Field(WanderConfig(), description="lateral position of the other drivers in their lanes")
     reward: RewardConfig = Field(RewardConfig(), description="weights of the reward's terms")
     cost: CostConfig = Field(CostConfig(), description="weights and parameters of the costs")
@@ -207,6 +209,16 @@ class EnvConfig(Config):
             raise ConfigError(
                 f"budget.most_m must be <= observation.pl_max_m = {self.observation.pl_max_m}, as far as limits are "
                 f"shown, got {self.budget.most_m}: raise pl_max_m or lower most_m"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _followers_have_room(self) -> Self:
+        # Elsewhere the ego begins near the start of its road, is alone, or has followers of the world itself.
+        if self.traffic.behind and self.base not in MOTORWAYS:
+            raise ConfigError(
+                f"traffic.behind must be 0 in {self.base}, got {self.traffic.behind}: choose {' or '.join(MOTORWAYS)}, "
+                "or UrbanCanyonWorld, where world.spread begins behind the ego"
             )
         return self
 

@@ -18,6 +18,7 @@ from lanebound.envs.pictures import Pictures
 from lanebound.envs.recordings import require_recordable
 from lanebound.envs.scene import alert_limits_m, duration_s, navigator_config, set_scene
 from lanebound.envs.world import checked_command
+from lanebound.envs.worlds.followers import add_followers
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
@@ -247,6 +248,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         faults = faults_in(options)
         episode_seed = int(self.np_random.integers(EPISODE_SEEDS))
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(WORLD_SEEDS)))
+        add_followers(self.world, self.config.traffic, episode_seed)
         self._duration_s = duration_s(self.config, self.world)
         context = set_scene(self.world, self.config, episode_seed, faults)
         self.belief_loop = loop = BeliefLoop(self.world, self.config, context)
