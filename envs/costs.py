@@ -40,7 +40,10 @@ class CostConfig(Config):
     context: float = Field(0.0, ge=0, description="weight of cost_context [1/s]; 0: a warning costs nothing")
     blocking: float = Field(0.0, ge=0, description="weight of cost_blocking [1/s]; 0: to stand costs nothing")
     blocking_share: float = Field(
-        0.4, gt=0, le=1, description="share of the speed of the flow below which a car blocks [-]; 60 of 130 km/h"
+        0.7,
+        gt=0,
+        le=1,
+        description="share of the speed of the flow below which a car blocks without an alert [-]; chosen",
     )
     standing_speed_mps: float = Field(
         0.0, ge=0, le=40, description="speed that time beyond the lane counts for at least; 0: none at rest"
@@ -60,6 +63,12 @@ class CostConfig(Config):
         ge=0,
         le=1,
         description="share of the lane's speed limit permitted while an alert is on [-]; of level, where PL = AL",
+    )
+    alert_speed_least: float = Field(
+        0.25,
+        ge=0,
+        le=1,
+        description="share of the limit that level always permits; a level lost between buildings stays so at rest",
     )
     time_to_alert_s: float = Field(
         1.0,

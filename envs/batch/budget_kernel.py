@@ -145,8 +145,9 @@ def permitted_mps(b, sc, car, seen, count, lanes, routes, rules):  # type: ignor
     """The largest speed at which what the levels sweep keeps to the limits: the limit of the lane without an alert.
 
     ``v PL <= c v_limit AL(v)`` on both axes, c = ``alert_speed_share`` and AL(v) the limits at that speed, of the
-    budget or fixed. So it is c of the limit where a level equals its alert limit, and 0 without a level. inf on a lane
-    without a limit.
+    budget or fixed: c of the limit where a level equals its alert limit. It is ``alert_speed_least`` of the limit at
+    least, also without a level: a level that is lost between buildings does not come back for a car that stands there.
+    inf on a lane without a limit.
     """
     limit = lanes.table[b.lane].speed_limit_mps
     if limit <= 0.0:
@@ -160,7 +161,7 @@ def permitted_mps(b, sc, car, seen, count, lanes, routes, rules):  # type: ignor
             low = v
         else:
             high = v
-    return low
+    return max(low, rules.costs.alert_speed_least * limit)
 
 
 @jit(borrows=True)

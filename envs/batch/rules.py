@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any
 
 from highway_env.vehicle.kinematics import Vehicle
@@ -54,6 +55,7 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
         behind_s=config.success_behind_s,
         keep_lane=config.keep_lane,
         max_speed_mps=Vehicle.MAX_SPEED,
+        fastest_mps=max(config.action_options.get("target_speeds", (inf,))),
         reason_none=AlertReason.NONE.code,
         reason_at=AlertReason.PL_AT.code,
         reason_ct=AlertReason.PL_CT.code,

@@ -37,7 +37,7 @@ def test_a_body_beyond_its_lane_costs_at_rest_as_well(speed_mps: float, counts_m
     assert info["cost_lane_integrity"] == pytest.approx(info["cost_lane"], rel=0.05)  # by a level of 0
 
 
-@pytest.mark.parametrize(("share", "lacks"), [(0.0, 1.0), (0.2, 0.5), (0.4, 0.0), (1.0, 0.0), (-0.2, 1.0)])
+@pytest.mark.parametrize(("share", "lacks"), [(0.0, 1.0), (0.35, 0.5), (0.7, 0.0), (1.0, 0.0), (-0.2, 1.0)])
 def test_a_car_that_is_slower_than_a_share_of_the_flow_blocks(share: float, lacks: float) -> None:
     env = make("Highway", action="continuous", policy_hz=5, actuators=None, world={"vehicles_count": 0})
     env.world.vehicle.speed = share * 30.0 + 1e-9
@@ -139,6 +139,16 @@ def test_drivers_keep_to_the_speed_that_the_level_permits() -> None:
     assert info["speed_mps"] <= permitted
     assert info["speed_mps"] > 0.8 * permitted
     assert late < 2.5
+
+
+@pytest.mark.parametrize(("share", "lacks"), [(0.0, 1.0), (0.125, 0.5), (0.25, 0.0)])
+def test_who_obeys_an_alert_does_not_block_and_who_stands_does(share: float, lacks: float) -> None:
+    """An error of twice the room permits a quarter of the limit."""
+    offset = {"navigation": {"source": "offset", "offset_ct_m": 1.25}, "perception": {"source": "none"}}
+    env = make("LaneKeeping", **offset)
+    env.world.vehicle.speed = share * 13.9 + 0.01
+    *_, info = env.step(STAND)
+    assert info["cost_blocking"] == pytest.approx(lacks * env.dt_s, abs=0.02)
 
 
 @pytest.mark.parametrize("env_id", IDS)

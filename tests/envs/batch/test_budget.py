@@ -160,6 +160,8 @@ def test_a_level_permits_the_speed_at_which_it_sweeps_what_the_limits_may() -> N
     assert permitted(pl_ct_m=room, alert=1) == pytest.approx(10.0 * share, abs=0.02)
     assert permitted(pl_ct_m=2.0 * room) == pytest.approx(5.0 * share, abs=0.02)
     assert permitted(pl_ct_m=0.4 * room) == 10.0
+    assert permitted(pl_ct_m=math.inf) == pytest.approx(2.5)
+    scene.rules["costs"]["alert_speed_least"] = 0.0
     assert permitted(pl_ct_m=math.inf) == 0.0
     scene.follow(b, gap_m=20.0, speed_mps=0.0, level_m=2.0)
     v = permitted(1, pl_ct_m=0.0, pl_at_m=3.0)
