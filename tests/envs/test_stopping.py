@@ -10,7 +10,9 @@ import pytest
 
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.rules import RuleBook
+from lanebound.agents.episodes import full_id
 from lanebound.envs import IDS, DrivingEnv, make_config
+from lanebound.envs.ids import VERSION_1, id_of
 from lanebound.integrity.core.errors import ConfigError
 
 GIVEN: dict[str, Any] = {"sky": "open", "navigation": {"source": "perfect"}}
@@ -149,6 +151,26 @@ def test_who_obeys_an_alert_does_not_block_and_who_stands_does(share: float, lac
     env.world.vehicle.speed = share * 13.9 + 0.01
     *_, info = env.step(STAND)
     assert info["cost_blocking"] == pytest.approx(lacks * env.dt_s, abs=0.02)
+
+
+@pytest.mark.parametrize("env_id", [id_of(kind) for kind in VERSION_1])
+def test_version_1_is_version_0_with_prices(env_id: str) -> None:
+    """Made by Gymnasium alone and in the engine; what it changes beside them is the limit and followers."""
+    light = {"sky": "open", "layouts": 1}
+    env = gymnasium.make(env_id, config=light).unwrapped
+    engine = gymnasium.make_vec(env_id, num_envs=1, config=light)
+    assert isinstance(env, DrivingEnv)
+    assert env.config == make_config(env_id, light)
+    assert engine.single_observation_space == env.observation_space
+    before = make_config(env_id.replace("-v1", "-v0"), light)
+    left = {"alert_limit", "cost", "cost_limit", "traffic", "observation"}
+    assert env.config.to_dict().keys() == before.to_dict().keys()
+    for name, value in env.config.to_dict().items():
+        assert name in left or value == before.to_dict()[name]
+    changed = {name for name, value in env.config.cost.to_dict().items() if value != before.cost.to_dict()[name]}
+    assert changed == {"alert_speed", "blocking", "standing_speed_mps"}
+    assert full_id(env_id.partition("/")[2].lower()) == env_id
+    engine.close()
 
 
 @pytest.mark.parametrize("env_id", IDS)
