@@ -17,9 +17,10 @@ import gymnasium
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CLASSES, VERSION_1, Preset, id_of
+from lanebound.envs.ids import CLASSES, PRICED, Preset, id_of
 from lanebound.envs.observation import GROUPS, OBSERVATION_INDEX
 from lanebound.envs.observation.index import Entry
+from lanebound.envs.registration import make_config
 from lanebound.integrity.core.config import describe
 from lanebound.integrity.sensors.fault_kinds import FaultKind
 from lanebound.integrity.sensors.fault_registry import fault_kinds
@@ -206,18 +207,18 @@ The keys `rendering.*` set size, scale, orientation, theme and panel. `lanebound
 film."""
 
 
-LATER_TEXT = """In the ids `-v1` to stop has a price; `-v0` stays as it is. Alert limits are of a budget
-(`alert_limit: budget`), an alert permits the speed that follows from the level (`cost.alert_speed: level`),
+PRICED_TEXT = """In the ids `...Priced-v0` to stop has a price; the others stay as they are. Alert limits are of a
+budget (`alert_limit: budget`), an alert permits the speed that follows from the level (`cost.alert_speed: level`),
 `cost_blocking` has the weight 1, and a body beyond its lane costs at rest as at 2 m/s. The cost limit is the 0.7
-quantile of `integrity_aware` over the 20 training seeds from 1000 on, rounded up. Other ids have no version 1, because
-a car that stands or crawls would keep such a limit too often
-([degenerate policies](results/degenerate-policies.md#version-1)), or because that was not measured."""
-LATER_HEAD = ("id", "cost limit", "cost limit of version 0", "more")
+quantile of `integrity_aware` over the 20 training seeds from 1000 on, rounded up. Other ids have no such variant,
+because a car that stands or crawls would keep such a limit too often
+([degenerate policies](results/degenerate-policies.md#priced-ids)), or because that was not measured."""
+PRICED_HEAD = ("id", "cost limit", "cost limit without prices", "more")
 
 
 def _later(kind: type[Preset]) -> tuple[str, ...]:
-    """The row of an id of version 1."""
-    now, before = (EnvConfig.build(k.PRESET) for k in (kind, kind.__bases__[0]))
+    """The row of a priced id."""
+    now, before = make_config(id_of(kind)), make_config(id_of(kind).replace("Priced", ""))
     more = f"`traffic.behind` {now.traffic.behind}" if now.traffic.behind else ""
     return f"`{id_of(kind)}`", f"{now.cost_limit:g}", f"{before.cost_limit:g}", more
 
@@ -227,7 +228,7 @@ def markdown() -> str:
     parts = [HEAD, _contents(), "## All environments", _page(DrivingEnv)]
     for kind in CLASSES:
         parts += [f"## {kind.__name__}", f'`gymnasium.make("{id_of(kind)}")`', _page(kind)]
-    parts += ["## Version 1", LATER_TEXT, _table(LATER_HEAD, map(_later, VERSION_1))]
+    parts += ["## Priced ids", PRICED_TEXT, _table(PRICED_HEAD, map(_later, PRICED))]
     return "\n\n".join([*parts, TOPICS.replace("@FAULT_KINDS@", _fault_table()), _keys(), _index()]) + "\n"
 
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 import gymnasium
 
 from lanebound.envs import IDS, DrivingEnv, make_config, wrap
-from lanebound.envs.ids import LATER
+from lanebound.envs.ids import PRICED_IDS
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.integrity.core.config_errors import below
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -19,10 +19,10 @@ __all__ = ["full_id", "naming", "open_env"]
 
 
 def full_id(name: str) -> str:
-    """The id of a name: an id, or one of lanebound without ``lanebound/`` and version 0, in upper or lower case.
+    """The id of a name: an id, or one of lanebound without ``lanebound/`` and version, in upper or lower case.
 
-    >>> full_id("lanekeeping"), full_id("lanekeeping-v1")
-    ('lanebound/LaneKeeping-v0', 'lanebound/LaneKeeping-v1')
+    >>> full_id("lanekeeping")
+    'lanebound/LaneKeeping-v0'
     >>> full_id("two-way-v0")
     'two-way-v0'
 
@@ -31,12 +31,9 @@ def full_id(name: str) -> str:
     InputError
         Neither an id of lanebound nor of highway-env.
     """
-    short = {_short(env_id): env_id for env_id in IDS}
+    short = {_short(env_id): env_id for env_id in (*IDS, *PRICED_IDS)}
     if _short(name) in short and (name.count("-v") == 0 or name.endswith("-v0")):
         return short[_short(name)]
-    later = {env_id.lower(): env_id for env_id in LATER}
-    if (found := f"lanebound/{name.removeprefix('lanebound/').lower()}") in later:
-        return later[found]
     if name in gymnasium.registry and not name.startswith("lanebound/"):
         return name
     known = (env_id.partition("/")[2] for env_id in IDS)
@@ -56,7 +53,7 @@ def open_env(name: str, overrides: Mapping[str, Any] | None = None, render_mode:
         As :func:`full_id`; ConfigError for a value that is refused.
     """
     env_id = full_id(name)
-    if env_id not in IDS and env_id not in LATER:
+    if env_id not in IDS and env_id not in PRICED_IDS:
         return wrap(env_id, overrides, render_mode)
     make_config(env_id, overrides)  # refused here, before Gymnasium changes the message
     try:

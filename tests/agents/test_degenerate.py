@@ -24,11 +24,11 @@ def test_who_is_within_the_limit_half_as_often_is_named() -> None:
     sound = GOOD._replace(within=0.7)
     assert sound.matched_by(GOOD._replace(within=0.35)) == []
     assert sound.matched_by(GOOD._replace(within=0.36)) == ["half as often within the limit"]
-    assert lines("X-v1", {SOUND: sound, "stand": sound})[1].endswith("| half as often within the limit |")
+    assert lines("XPriced", {SOUND: sound, "stand": sound})[1].endswith("| half as often within the limit |")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["LaneKeeping-v1", "CarFollowing-v1", "Merge-v1"])
+@pytest.mark.parametrize("name", ["LaneKeepingPriced", "CarFollowingPriced", "MergePriced"])
 def test_where_stopping_has_a_price_no_policy_without_sense_keeps_the_limit(name: str) -> None:
     found = scores(name, 12, 10_000)
     assert {label: found[SOUND].matched_by(score) for label, score in found.items() if label != SOUND} == {

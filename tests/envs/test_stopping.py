@@ -12,17 +12,17 @@ from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.rules import RuleBook
 from lanebound.agents.episodes import full_id
 from lanebound.envs import IDS, DrivingEnv, make_config
-from lanebound.envs.ids import VERSION_1, id_of
+from lanebound.envs.ids import PRICED, id_of
 from lanebound.integrity.core.errors import ConfigError
 
 GIVEN: dict[str, Any] = {"sky": "open", "navigation": {"source": "perfect"}}
-PRICED: dict[str, Any] = {"cost": {"blocking": 1.0, "standing_speed_mps": 2.0, "alert_speed": "level"}}
+PRICES: dict[str, Any] = {"cost": {"blocking": 1.0, "standing_speed_mps": 2.0, "alert_speed": "level"}}
 STAND, SLOWER, IDLE = np.zeros(2, dtype=np.float32), 0, 1
 
 
 def make(env_id: str, **changes: Any) -> DrivingEnv:
     """An environment with given positions."""
-    env = DrivingEnv(make_config(f"lanebound/{env_id}-v0", {**GIVEN, **PRICED, **changes}))
+    env = DrivingEnv(make_config(f"lanebound/{env_id}-v0", {**GIVEN, **PRICES, **changes}))
     env.reset(seed=2)
     return env
 
@@ -101,7 +101,7 @@ def test_half_the_rate_of_decisions_leaves_the_cost_of_an_episode() -> None:
 @pytest.mark.parametrize("env_id", ["LaneKeeping", "Roundabout", "UrbanCanyon"])
 def test_the_engine_prices_as_single_environments_do(env_id: str) -> None:
     """And shows the same permitted speed, under alerts of a dense sky."""
-    config = {**PRICED, "sky": "dense", "alert_limit": "budget", "observation": {"form": "flat"}}
+    config = {**PRICES, "sky": "dense", "alert_limit": "budget", "observation": {"form": "flat"}}
     env = gymnasium.make(f"lanebound/{env_id}-v0", config=config).unwrapped
     engine = gymnasium.make_vec(f"lanebound/{env_id}-v0", num_envs=2, config=config)
     assert isinstance(env, DrivingEnv)
@@ -153,8 +153,8 @@ def test_who_obeys_an_alert_does_not_block_and_who_stands_does(share: float, lac
     assert info["cost_blocking"] == pytest.approx(lacks * env.dt_s, abs=0.02)
 
 
-@pytest.mark.parametrize("env_id", [id_of(kind) for kind in VERSION_1])
-def test_version_1_is_version_0_with_prices(env_id: str) -> None:
+@pytest.mark.parametrize("env_id", [id_of(kind) for kind in PRICED])
+def test_a_priced_id_is_the_other_one_with_prices(env_id: str) -> None:
     """Made by Gymnasium alone and in the engine; what it changes beside them is the limit and followers."""
     light = {"sky": "open", "layouts": 1}
     env = gymnasium.make(env_id, config=light).unwrapped
@@ -162,14 +162,14 @@ def test_version_1_is_version_0_with_prices(env_id: str) -> None:
     assert isinstance(env, DrivingEnv)
     assert env.config == make_config(env_id, light)
     assert engine.single_observation_space == env.observation_space
-    before = make_config(env_id.replace("-v1", "-v0"), light)
+    before = make_config(env_id.replace("Priced", ""), light)
     left = {"alert_limit", "cost", "cost_limit", "traffic", "observation"}
     assert env.config.to_dict().keys() == before.to_dict().keys()
     for name, value in env.config.to_dict().items():
         assert name in left or value == before.to_dict()[name]
     changed = {name for name, value in env.config.cost.to_dict().items() if value != before.cost.to_dict()[name]}
     assert changed == {"alert_speed", "blocking", "standing_speed_mps"}
-    assert full_id(env_id.partition("/")[2].lower()) == env_id
+    assert full_id(env_id.partition("/")[2].lower().removesuffix("-v0")) == env_id
     engine.close()
 
 

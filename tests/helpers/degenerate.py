@@ -1,11 +1,11 @@
 """The suite ``degenerate`` through the vector engine where it has the world: a table of an id in minutes.
 
     .venv/bin/python tests/helpers/degenerate.py LaneKeeping 32 10000      # id, episodes, first seed
-    .venv/bin/python tests/helpers/degenerate.py LaneKeeping-v1 12 1000
+    .venv/bin/python tests/helpers/degenerate.py LaneKeepingPriced 12 1000
 
-The agents, their figures and the changes of the environment are those of the suite; the seeds are consecutive. Ids of
-version 1 are driven without those changes. There no bad policy may be within the cost limit more than half as often as
-the sound one.
+The agents, their figures and the changes of the environment are those of the suite; the seeds are consecutive. Priced
+ids are driven without those changes. There no bad policy may be within the cost limit more than half as often as the
+sound one.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class Score(NamedTuple):
 
 
 def is_priced(name: str) -> bool:
-    """Whether an id is of version 1."""
-    return name.endswith("-v1")
+    """Whether an id has a price of stopping."""
+    return name.endswith("Priced")
 
 
 def scores(name: str, episodes: int, seed: int, only: Collection[str] = ()) -> dict[str, Score]:
