@@ -4,7 +4,7 @@ Alert limits are of a budget, an alert permits the speed that follows from the l
 drive there blocks, and a body beyond its lane costs at rest as well. ``cost_limit`` is the 0.7 quantile of
 ``integrity_aware`` over the 20 training seeds from 1000 on, rounded up. The other ids have none: in Racetrack the
 car cannot slow down; elsewhere a car that stands or crawls would keep such a limit too often
-(docs/results/degenerate-policies.md), or that was not measured. A version -v1 would make Gymnasium call every -v0 out of
+(docs/results/degenerate-policies.md), or that was not measured. A version -v1 would make Gymnasium call each -v0 out of
 date.
 """
 
