@@ -25,8 +25,9 @@ from lanebound.envs.batch.infos import NAMES, as_ended, single_info
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import faults_in
 from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
+from lanebound.envs.ids import has_engine, preset_of
 from lanebound.envs.info import info_entries
-from lanebound.envs.vector.env import VectorDrivingEnv, WrappedVectorEnv, engines
+from lanebound.envs.vector.env import VectorDrivingEnv, WrappedVectorEnv, engine_class, engines
 from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.accel import LOGGER
 from lanebound.integrity.core.errors import InputError
@@ -225,8 +226,9 @@ class EngineVecEnv(VecEnv):
 
 def engine_of(env_id: str) -> Callable[..., VectorDrivingEnv] | None:
     """What makes environments of an id in the engine; None for an id without one."""
-    if env_id in engines():
-        return engines()[env_id]
+    own = preset_of(env_id)
+    if own is not None and has_engine(own):
+        return engine_class(own)
     kind = None if env_id in IDS else world_kind(env_id)
     return None if kind is None or kind.support is None else partial(WrappedVectorEnv, env_id)
 

@@ -11,13 +11,14 @@ from pydantic import Field, field_validator, model_validator
 
 from lanebound.envs.actuators import ActuatorConfig
 from lanebound.envs.alert_limits import AlertLimit, BudgetConfig
-from lanebound.envs.costs import GROUPS, CostConfig, CostLimits
+from lanebound.envs.costs import GROUPS, AlertSpeed, CostConfig, CostLimits
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.observation import ObservationConfig
 from lanebound.envs.perception import PerceptionConfig
 from lanebound.envs.rendering.config import RenderingConfig
 from lanebound.envs.rewards import RewardConfig
 from lanebound.envs.sky import RECORDING, SKIES, SkyLevel
+from lanebound.envs.worlds.followers import MOTORWAYS, TrafficConfig
 from lanebound.envs.worlds.wander import WanderConfig
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
@@ -105,6 +106,7 @@ class EnvConfig(Config):
         ge=0,
         description="time behind a car at that mean speed at which a success may end; a lead does not count; chosen",
     )
+    traffic: TrafficConfig = Field(TrafficConfig(), description="vehicles behind the ego at the start")
     wander: WanderConfig = Field(WanderConfig(), description="lateral position of the other drivers in their lanes")
     reward: RewardConfig = Field(RewardConfig(), description="weights of the reward's terms")
     cost: CostConfig = Field(CostConfig(), description="weights and parameters of the costs")
@@ -128,7 +130,7 @@ class EnvConfig(Config):
     @model_validator(mode="before")
     @classmethod
     def _navigator_is_observed(cls, data: Any) -> Any:
-        """What services, context monitor, filter and limits of the navigator report has entries in the observation."""
+        """What services, context monitor, filter, limits of the navigator and the cost report has observed entries."""
         if not isinstance(data, Mapping) or not isinstance(data.get("observation", {}), Mapping):
             return data
         try:
@@ -143,6 +145,7 @@ class EnvConfig(Config):
             "context": _has_context(navigator),
             "filters": navigator.get("kind") == "filter",
             "speed_geometry": _limits_sdop(navigator),
+            "permitted_speed": _follows_level(data.get("cost")),
         }
         given = observation.get("navigator_services")
         if given and isinstance(given, list | tuple) and tuple(given) != shown["navigator_services"]:
@@ -223,6 +226,16 @@ class EnvConfig(Config):
         return self
 
     @model_validator(mode="after")
+    def _followers_have_room(self) -> Self:
+        # Elsewhere the ego begins near the start of its road, is alone, or has followers of the world itself.
+        if self.traffic.behind and self.base not in MOTORWAYS:
+            raise ConfigError(
+                f"traffic.behind must be 0 in {self.base}, got {self.traffic.behind}: choose {' or '.join(MOTORWAYS)}, "
+                "or UrbanCanyonWorld, where world.spread begins behind the ego"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _others_have_receivers(self) -> Self:
         # Random faults also act in the receivers of the others, which a surrogate does not have.
         if self.faults is not FaultLevel.NONE and self.perception.has_radio and not self.perception.others_navigate:
@@ -261,6 +274,12 @@ def _limits_sdop(navigator: Mapping[str, Any]) -> bool:
     modes = navigator.get("positioning", {})
     modes = modes.get("mode", {}) if isinstance(modes, Mapping) else {}
     return isinstance(modes, Mapping) and modes.get("doppler_max_sdop") is not None
+
+
+def _follows_level(cost: Any) -> bool:
+    """Whether the speed permitted under an alert follows from the level, by the data of ``cost``."""
+    given = cost.get("alert_speed") if isinstance(cost, Mapping) else getattr(cost, "alert_speed", None)
+    return given in (AlertSpeed.LEVEL, AlertSpeed.LEVEL.value)
 
 
 def _has_context(navigator: Mapping[str, Any]) -> bool:

@@ -18,6 +18,7 @@ from lanebound.envs.pictures import Pictures
 from lanebound.envs.recordings import require_recordable
 from lanebound.envs.scene import alert_limits_m, duration_s, navigator_config, set_scene
 from lanebound.envs.world import checked_command
+from lanebound.envs.worlds.followers import add_followers
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
@@ -102,9 +103,10 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_lane_integrity` | 0.1 | `out v dt`; out: `max(0, abs(d_est) + PL_CT + W/2 - w/2)`, at most 2 m |
     | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt |
     | `cost_conflict` | 10 | peak of `max(0, 1 - T2 / 1.5 s)` in each conflict of crossing courses |
-    | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds half the limit |
+    | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds the permitted speed |
     | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
     | `cost_context` | 0 | dt while the context monitor warns and the car changes lane or exceeds half the limit |
+    | `cost_blocking` | 0 | `max(0, 1 - v cos(psi) / (0.7 v_flow)) dt`, at most dt: slower than others drive there |
 
     - `cost_alert`: an alert permits half of the speed limit, without lane changes.
     - `cost_headway` is also computed from the true gap and speeds without PL; the larger value counts.
@@ -118,12 +120,23 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
       that is nearer than `d_RSS` costs dt.
     - During a commanded lane change, and where lanes meet or fork, both lanes count. With `keep_lane=False` the whole
       road counts, and `cost_lane_integrity` is 0.
+    - An alert permits half the limit (`cost.alert_speed_share`). `cost.alert_speed: level` permits the largest speed v
+      with `v PL <= 0.5 v_limit AL(v)` on both axes: half the limit where a level equals its alert limit, and 0.25 of
+      the limit at least (`cost.alert_speed_least`). A step is judged by the speed that was observed before it
+      (`integrity.permitted_speed`).
+    - v_flow is the least of limit, fastest command, comfortable speed in a bend, speed of a vehicle less than 4 s
+      ahead, and speed from which the car stops in comfort before its lane ends. Under an alert the permitted speed
+      takes the place of `0.7 v_flow` if it is less. To stop is right, and `cost_blocking` 0, behind a vehicle that
+      stands and while another one crosses the next 30 m of the way within 7.1 s (HCM 2010).
+    - `cost.standing_speed_mps` is the least v of `cost_lane` and `cost_lane_integrity` (0): a body beyond its lane may
+      be struck at rest as well.
     - An episode that ends early by a crash or off the road exceeds every `cost_limit`, but can cost less than a
       careless drive to the end (UrbanCanyon: 230 at once, `nominal` 221 or 355): without a limit, costs may teach to
       end early.
     - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
     - `cost_limits` adds limits of parts of that cost, each with the weights above, none by default and not enforced:
-      `lane` (`cost_lane` and `cost_lane_integrity`), `headway`, `conflict`, `alert` and `hmi` (the cause of that name).
+      `lane` (`cost_lane` and `cost_lane_integrity`), `headway`, `conflict`, `alert`, `hmi` and `blocking` (the cause of
+      that name).
 
     ## Info
     The same keys at reset and in each step. Known to the car:
@@ -155,7 +168,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `crashed_now`, `astray_now` | new in this step: a crash; off the road or against the traffic |
     | `is_success` | the episode ends well in this step |
     | `cost` and the causes above | weighted sum; unweighted causes |
-    | `costs` | the unweighted causes as one vector (9,), float64, in the order of `lanebound.envs.costs.CAUSES` |
+    | `costs` | the unweighted causes as one vector (10,), float64, in the order of `lanebound.envs.costs.CAUSES` |
     | `rewards` | unweighted terms |
 
     ## Starting State
@@ -235,6 +248,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         faults = faults_in(options)
         episode_seed = int(self.np_random.integers(EPISODE_SEEDS))
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(WORLD_SEEDS)))
+        add_followers(self.world, self.config.traffic, episode_seed)
         self._duration_s = duration_s(self.config, self.world)
         context = set_scene(self.world, self.config, episode_seed, faults)
         self.belief_loop = loop = BeliefLoop(self.world, self.config, context)

@@ -6,6 +6,7 @@ The formulas are in :mod:`lanebound.envs.batch.costs_kernel`.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from pydantic import Field
 from lanebound.envs.batch.records_kernel import CAUSES
 from lanebound.integrity.core.config import Config
 
-__all__ = ["CAUSES", "GROUPS", "CostConfig", "CostLimits"]
+__all__ = ["CAUSES", "GROUPS", "AlertSpeed", "CostConfig", "CostLimits"]
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "lane": ("cost_lane", "cost_lane_integrity"),
@@ -22,9 +23,17 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "conflict": ("cost_conflict",),
     "alert": ("cost_alert",),
     "hmi": ("cost_hmi",),
+    "blocking": ("cost_blocking",),
 }
 """Groups of causes whose weighted sum over an episode may have a limit of its own. A crash, an end off the road and the
 warnings of the context monitor are in none: they count in the whole cost alone."""
+
+
+class AlertSpeed(Enum):
+    """Where the speed permitted under an alert comes from."""
+
+    SHARE = "share"
+    LEVEL = "level"
 
 
 class CostConfig(Config):
@@ -43,6 +52,16 @@ class CostConfig(Config):
     alert: float = Field(0.5, ge=0, description="weight of cost_alert [1/s]")
     hmi: float = Field(5.0, ge=0, description="weight of cost_hmi [1/s]; what integrity is to prevent")
     context: float = Field(0.0, ge=0, description="weight of cost_context [1/s]; 0: a warning costs nothing")
+    blocking: float = Field(0.0, ge=0, description="weight of cost_blocking [1/s]; 0: to stand costs nothing")
+    blocking_share: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="share of the speed of the flow below which a car blocks without an alert [-]; chosen",
+    )
+    standing_speed_mps: float = Field(
+        0.0, ge=0, le=40, description="speed that time beyond the lane counts for at least; 0: none at rest"
+    )
     conflict_s: float = Field(
         1.5, gt=0, le=5, description="T2 below which a crossing is a conflict; Hyden 1987, FHWA-RD-03-050"
     )
@@ -50,8 +69,20 @@ class CostConfig(Config):
     accelerate_mps2: float = Field(2.0, ge=0, description="acceleration during the response; RSS, comfort")
     brake_min_mps2: float = Field(4.0, gt=0, description="braking that the ego is sure to reach; RSS, IEEE 2846 survey")
     brake_max_mps2: float = Field(6.0, gt=0, description="braking of the leader at most; our leads brake 2.5 to 6")
+    alert_speed: AlertSpeed = Field(
+        AlertSpeed.SHARE, description="speed permitted under an alert: a share of the limit, or less as levels grow"
+    )
     alert_speed_share: float = Field(
-        0.5, ge=0, le=1, description="share of the lane's speed limit permitted while an alert is on [-]; chosen"
+        0.5,
+        ge=0,
+        le=1,
+        description="share of the lane's speed limit permitted while an alert is on [-]; of level, where PL = AL",
+    )
+    alert_speed_least: float = Field(
+        0.25,
+        ge=0,
+        le=1,
+        description="share of the limit that level always permits; a level lost between buildings stays so at rest",
     )
     time_to_alert_s: float = Field(
         1.0,
@@ -81,6 +112,7 @@ class CostLimits(Config):
     conflict: float | None = Field(None, ge=0, description="of cost_conflict; None: none of its own")
     alert: float | None = Field(None, ge=0, description="of cost_alert; None: none of its own")
     hmi: float | None = Field(None, ge=0, description="of cost_hmi; None: none of its own")
+    blocking: float | None = Field(None, ge=0, description="of cost_blocking; None: none of its own")
 
     @property
     def given(self) -> dict[str, float]:

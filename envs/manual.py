@@ -16,9 +16,10 @@ import gymnasium
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CLASSES, Preset, id_of
+from lanebound.envs.ids import CLASSES, PRICED, Preset, id_of
 from lanebound.envs.observation import GROUPS, OBSERVATION_INDEX
 from lanebound.envs.observation.index import Entry
+from lanebound.envs.registration import make_config
 from lanebound.integrity.core.config import describe
 from lanebound.integrity.sensors.fault_kinds import FaultKind
 from lanebound.integrity.sensors.fault_registry import fault_kinds
@@ -205,11 +206,28 @@ The keys `rendering.*` set size, scale, orientation, theme and panel. `lanebound
 film."""
 
 
+PRICED_TEXT = """In the ids `...Priced-v0` to stop has a price; the others stay as they are. Alert limits are of a
+budget (`alert_limit: budget`), an alert permits the speed that follows from the level (`cost.alert_speed: level`),
+`cost_blocking` has the weight 1, and a body beyond its lane costs at rest as at 2 m/s. The cost limit is the 0.7
+quantile of `integrity_aware` over the 20 training seeds from 1000 on, rounded up. Other ids have no such variant,
+because a car that stands or crawls would keep such a limit too often
+([degenerate policies](results/degenerate-policies.md#priced-ids)), or because that was not measured."""
+PRICED_HEAD = ("id", "cost limit", "cost limit without prices", "more")
+
+
+def _later(kind: type[Preset]) -> tuple[str, ...]:
+    """The row of a priced id."""
+    now, before = make_config(id_of(kind)), make_config(id_of(kind).replace("Priced", ""))
+    more = f"`traffic.behind` {now.traffic.behind}" if now.traffic.behind else ""
+    return f"`{id_of(kind)}`", f"{now.cost_limit:g}", f"{before.cost_limit:g}", more
+
+
 def markdown() -> str:
     """The whole page in Markdown."""
     parts = [HEAD, _contents(), "## All environments", _page(DrivingEnv)]
     for kind in CLASSES:
         parts += [f"## {kind.__name__}", f'`gymnasium.make("{id_of(kind)}")`', _page(kind)]
+    parts += ["## Priced ids", PRICED_TEXT, _table(PRICED_HEAD, map(_later, PRICED))]
     return "\n\n".join([*parts, TOPICS.replace("@FAULT_KINDS@", _fault_table()), _keys(), _index()]) + "\n"
 
 

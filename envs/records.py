@@ -61,6 +61,7 @@ class EgoBelief:
     context_warning, context_phases, context_score, link_probability : of the context monitor; 0 without one
     model_curved, nis_position, nis_wheels, nis_gyro, nis_steering, nis_slip, nis_compass, trust_m, sdop : as in
         Solution
+    permitted_mps : speed permitted by ``cost.alert_speed: level``; of no meaning without it
     """
 
     time_s: float
@@ -107,6 +108,7 @@ class EgoBelief:
     context_phases: int = 0
     context_score: float = 0.0
     link_probability: float = 0.0
+    permitted_mps: float = np.inf
 
     @classmethod
     def of(cls, beliefs: Records, row: int, table: LaneTable) -> EgoBelief:

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CLASSES, CONTINUOUS, IDS, META, enter
+from lanebound.envs.ids import CLASSES, CONTINUOUS, IDS, META, PRICED, PRICED_IDS, enter
 from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import nearest
@@ -29,15 +29,16 @@ def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvC
     ConfigError
         An unknown key or a value out of range, with its path.
     """
-    if env_id not in IDS:
-        raise InputError(f"env_id must be one of {', '.join(IDS)}, got {env_id!r}: {nearest(env_id, IDS)}")
-    return EnvConfig.build(IDS[env_id], overrides)
+    presets = IDS | PRICED_IDS
+    if env_id not in presets:
+        raise InputError(f"env_id must be one of {', '.join(presets)}, got {env_id!r}: {nearest(env_id, presets)}")
+    return EnvConfig.build(presets[env_id], overrides)
 
 
 def base_of(env_id: str) -> str:
     """The world of an id of ours, with or without ``lanebound/``; any other id is its own."""
     ours = f"lanebound/{env_id.removeprefix('lanebound/')}"
-    return make_config(ours).base if ours in IDS else env_id
+    return make_config(ours).base if ours in IDS or ours in PRICED_IDS else env_id
 
 
 def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> DrivingEnv:
@@ -82,5 +83,5 @@ def wrap_vec(
 
 def register_all() -> None:
     """Register every id with Gymnasium; doing so twice changes nothing."""
-    for kind in CLASSES:
+    for kind in (*CLASSES, *PRICED):
         enter(kind)

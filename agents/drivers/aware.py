@@ -28,6 +28,9 @@ class AwareConfig(RssConfig):
     """Thresholds for slowing down and stopping."""
 
     alert_share: float = Field(0.48, gt=0, le=1, description="of the limit while an alert is on; just below what costs")
+    permitted_share: float = Field(
+        0.96, gt=0, le=1, description="of the permitted speed while an alert is on, where the environment shows it"
+    )
     ratio_calm: float = Field(0.6, ge=0, lt=1, description="PL / AL up to which the limit holds [-]; chosen")
     slow_mps2: float = Field(4.0, gt=0, description="braking for an alert at most; as in RSS")
     satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in over 3 of 5 cases")
@@ -118,7 +121,14 @@ class IntegrityAware(Rss):
         wanted = np.minimum(wanted, np.sqrt(slow**2 + 2.0 * c.brake_mps2 * self._outage(observation)))
         alert = reader.value(observation, "integrity.alert") > 0.5
         over = self._overdue(observation, slow)
-        return np.where(alert & over, 0.0, np.where(alert, np.minimum(wanted, slow), wanted))
+        wanted = np.where(alert, np.minimum(wanted, self._permitted(observation, slow)), wanted)
+        return np.where(alert & over, 0.0, wanted)
+
+    def _permitted(self, observation: Observation, slow_mps: Array) -> Array:
+        """Speed under an alert: by the level where the environment shows it, else the share of the limit."""
+        if not self.reader.config.permitted_speed:
+            return slow_mps
+        return self.config.permitted_share * self.reader.value(observation, "integrity.permitted_speed")
 
     def _overdue(self, observation: Observation, slow_mps: Array) -> NDArray[np.bool_]:
         """Where RTK has been missing for too long and no open sky is near, or the level across is too large."""

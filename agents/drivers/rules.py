@@ -17,8 +17,9 @@ The floors are ``least_share``, and ``barrier.lane_floor_m`` of room across the 
 ``level``: the share of the limit is inverse to the larger ratio of the two axes as shown (3 at most, and where a level
 is missing), under an alert to 1 at least. So ``v PL <= c limit AL``: what a level sweeps in a second is at most what it
 sweeps at the share c of the limit when it is as large as its alert limit.
-The form is chosen; c is the share that ``cost_alert`` permits. The share has a floor, because a level that is missing
-between buildings does not come back for a car that stands there.
+The form is chosen; c is the share that ``cost_alert`` permits. Where the environment shows the speed that it permits
+under an alert (``cost.alert_speed: level``, the same form with the limits at that speed), the rule takes that one. The
+share has a floor, because a level that is missing between buildings does not come back for a car that stands there.
 
 ``gap``, ``rss``: definition 1 of Shalev-Shwartz et al. 2017 with the figures of ``cost_headway``; a response time of at
 least a decision; gaps bumper to bumper less PL_AT of both; lanes widened by PL_CT of both. For ``gap`` the ego must be
@@ -194,7 +195,11 @@ class RuleBook:
         ratio = np.where(self._alert(observation), np.maximum(ratio, 1.0), ratio)
         limit = read(observation, "road.speed_limit")
         limit = np.where(limit < self.reader.scale("road.speed_limit"), limit, self.rules.speed_mps)
-        return limit * np.maximum(self._calm / np.maximum(ratio, self._calm), self.rules.least_share)
+        speed = limit * (self._calm / np.maximum(ratio, self._calm))
+        if self.reader.config.permitted_speed:  # by limits at the speed itself, as what costs under an alert
+            permitted = read(observation, "integrity.permitted_speed")
+            speed = np.where(self._alert(observation), np.minimum(permitted, limit), speed)
+        return np.maximum(speed, limit * self.rules.least_share)
 
     def _rss_speed(self, observation: Observation) -> Array:
         """A gap less levels below 0 counts as 0: the car then falls back behind its leader."""

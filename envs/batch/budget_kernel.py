@@ -26,6 +26,9 @@ position.
 The bound of the map's error is in the levels already. Both limits stay between ``least`` and ``most``: where less than
 ``least`` is left it is not the position that makes driving unsafe. Errors of the heading, vehicles beside the car and
 reversing have no part in the budget.
+
+The same terms give the speed that a level permits, :func:`permitted_mps`. A level above the limit at rest would permit
+no speed at all, as on straight lanes no term across depends on the speed; so levels count by what they sweep.
 """
 
 from __future__ import annotations
@@ -37,10 +40,11 @@ from lanebound.envs.batch.lanes_kernel import local
 from lanebound.envs.batch.route_map_kernel import path_at
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["budget_limits"]
+__all__ = ["budget_limits", "permitted_mps"]
 
 STEP_M = 2.5  # between the points at which curvature is read, half of a car
 STRAIGHT_PM = 1e-6
+HALVINGS = 10  # of the limit in the search for a permitted speed: 0.03 m/s of 30 m/s
 
 
 @jit(inline=True)
@@ -99,9 +103,9 @@ def _room_m(b, sc, car, sweep, lanes, rules):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _behind_m(b, seen, count, length, lanes, rules):  # type: ignore[no-untyped-def]
-    """What reaction and braking leave of the gaps to leaders with a radio, infinite without one."""
-    c, v, least = rules.costs, max(b.speed_mps, 0.0), math.inf
+def _behind_m(b, v, seen, count, length, lanes, rules):  # type: ignore[no-untyped-def]
+    """What reaction and braking from a speed v leave of the gaps to leaders with a radio, infinite without one."""
+    c, least = rules.costs, math.inf
     for i in range(count):
         other = seen[i]
         s, r, _ = local(lanes, b.lane, other.x_m, other.y_m)
@@ -118,15 +122,53 @@ def _behind_m(b, seen, count, length, lanes, rules):  # type: ignore[no-untyped-
 
 
 @jit(borrows=True)
-def budget_limits(b, sc, car, seen, count, lanes, routes, rules):  # type: ignore[no-untyped-def]
-    """Alert limits (along, across) [m] of an ego until its next decision; of the true ``car`` only its size is read."""
-    f, sweep = rules.budget, max(b.speed_mps, 0.0) * rules.policy_s
+def budget_limits(b, speed, sc, car, seen, count, lanes, routes, rules):  # type: ignore[no-untyped-def]
+    """Alert limits (along, across) [m] of an ego at a speed, until its next decision; of ``car`` only its size is read.
+
+    A speed below 0 counts as 0.
+    """
+    f, v = rules.budget, max(speed, 0.0)
+    sweep = v * rules.policy_s
     room = _room_m(b, sc, car, sweep, lanes, rules)
     along, curvature = _bends_m(b, car, sweep, room, lanes, routes, rules)
-    along = min(along, _behind_m(b, seen, count, car.length, lanes, rules))
+    along = min(along, _behind_m(b, v, seen, count, car.length, lanes, rules))
     if _is_placed(b, sweep, lanes, routes, rules):
         along = min(along, f.crossing_m)
     along = max(along, f.least_m)
     corner = along + 0.5 * car.length
     across = min(max(room - 0.5 * curvature * corner * corner, f.least_m), f.most_m)
     return along, across
+
+
+@jit(borrows=True)
+def permitted_mps(b, sc, car, seen, count, lanes, routes, rules):  # type: ignore[no-untyped-def]
+    """The largest speed at which what the levels sweep keeps to the limits: the limit of the lane without an alert.
+
+    ``v PL <= c v_limit AL(v)`` on both axes, c = ``alert_speed_share`` and AL(v) the limits at that speed, of the
+    budget or fixed: c of the limit where a level equals its alert limit. It is ``alert_speed_least`` of the limit at
+    least, also without a level: a level that is lost between buildings does not come back for a car that stands there.
+    inf on a lane without a limit.
+    """
+    limit = lanes.table[b.lane].speed_limit_mps
+    if limit <= 0.0:
+        return math.inf
+    if b.alert == 0 or _keeps(b, limit, limit, sc, car, seen, count, lanes, routes, rules):
+        return limit
+    low, high = 0.0, limit
+    for _ in range(HALVINGS):
+        v = 0.5 * (low + high)
+        if _keeps(b, v, limit, sc, car, seen, count, lanes, routes, rules):
+            low = v
+        else:
+            high = v
+    return max(low, rules.costs.alert_speed_least * limit)
+
+
+@jit(borrows=True)
+def _keeps(b, v, limit, sc, car, seen, count, lanes, routes, rules):  # type: ignore[no-untyped-def]
+    """Whether the levels, swept at a speed, keep to the alert limits at that speed."""
+    along, across = b.al_at_m, b.al_ct_m
+    if rules.budgets != 0:
+        along, across = budget_limits(b, v, sc, car, seen, count, lanes, routes, rules)
+    swept = v / (rules.costs.alert_speed_share * limit) if rules.costs.alert_speed_share > 0.0 else math.inf
+    return swept * b.pl_at_m <= along and swept * b.pl_ct_m <= across

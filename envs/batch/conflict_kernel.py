@@ -9,6 +9,8 @@ decisions is not missed.
 
 Courses cross where the headings differ by more than 30 degrees (SSAM, FHWA-HRT-08-051: less is lane change or
 rear-end); those are conflicts of headway.
+
+To let a vehicle pass whose course crosses soon is a right reason to stop, :func:`must_give_way`.
 """
 
 from __future__ import annotations
@@ -18,9 +20,11 @@ import math
 from lanebound.envs.batch.lanes_kernel import heading_at, local, place
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["CROSSING_COS", "second_arrival_s"]
+__all__ = ["CROSSING_COS", "must_give_way", "second_arrival_s"]
 
 STEP_S = 0.1
+GIVE_WAY_S = 7.1  # gap that half of the drivers take for a left turn from a minor road; HCM 2010, exhibit 19-10
+GIVE_WAY_M = 30.0  # before the conflict; a car stops from 10 m/s in 25 m
 CROSSING_COS = math.cos(math.radians(30.0))
 
 
@@ -105,3 +109,33 @@ def second_arrival_s(cars, lanes, horizon_s, past_s):  # type: ignore[no-untyped
             theirs = local(lanes, cars[i].lane, cars[i].x, cars[i].y)
             least = _least_s(cars, lanes, i, own, theirs, past_s, least)
     return least
+
+
+@jit(borrows=True)
+def must_give_way(cars, lanes):  # type: ignore[no-untyped-def]
+    """Whether another vehicle that drives crosses the next ``GIVE_WAY_M`` of the true ego's way in ``GIVE_WAY_S``.
+
+    Poses of the ego are a length apart, those of others a quarter of a second at the speed of the moment. A vehicle
+    that stands counts where its body is on the ego's way.
+    """
+    if not _may_cross(cars, lanes, 0):
+        return False
+    s, r, _ = local(lanes, cars[0].lane, cars[0].x, cars[0].y)
+    for i in range(1, cars.shape[0]):
+        reach = GIVE_WAY_M + GIVE_WAY_S * abs(cars[i].speed) + cars[0].length + cars[i].length
+        near = math.hypot(cars[i].x - cars[0].x, cars[i].y - cars[0].y) < reach
+        if near and cars[i].crashed == 0 and _may_cross(cars, lanes, i) and _crosses_way(cars, lanes, i, s, r):
+            return True
+    return False
+
+
+@jit(borrows=True)
+def _crosses_way(cars, lanes, i, s, r):  # type: ignore[no-untyped-def]
+    """Whether vehicle i will be on the way of the ego, which is at station s and offset r of its lane."""
+    start, aside, _ = local(lanes, cars[i].lane, cars[i].x, cars[i].y)
+    for k in range(math.ceil(4.0 * GIVE_WAY_S)):
+        theirs = _pose(cars, lanes, i, start + 0.25 * k * cars[i].speed, aside)
+        for m in range(math.ceil(GIVE_WAY_M / cars[0].length)):
+            if _overlap(cars, i, _pose(cars, lanes, 0, s + m * cars[0].length, r), theirs):
+                return True
+    return False

@@ -2,14 +2,15 @@
 
 Symbols: v speed over ground [m/s], dt length of a policy step [s], W and L width and length of the car, w width of the
 lane, d lateral offset from the middle of the lane. Costs are >= 0, and but for misleading information 0 for a car at
-rest in its lane and in nobody's way; each is an integral over time, or 1 once, so that halving the policy's rate leaves
-an episode's cost as it is.
+rest in its lane where a stop is right; each is an integral over time, or 1 once, so that halving the policy's rate
+leaves an episode's cost as it is.
 
 ``cost_collision``  1 in the step of a crash.
 ``cost_off_road``  1 in the step in which the car has left the road, or driven against its lane for too long.
-``cost_lane``  ``max(0, |d| + half body - w / 2) v dt`` of the TRUE car beyond its corridor, at most 2 m.
-``cost_lane_integrity``  ``max(0, |d_est| + PL_CT + W / 2 - w / 2) v dt`` of the belief, at most 2 m, also without
-PL_CT; about the outer edges of both lanes during a change; 0 without a lane to keep (``keep_lane`` off).
+``cost_lane``  ``max(0, |d| + half body - w / 2) max(v, v0) dt`` of the TRUE car beyond its corridor, at most 2 m; v0 is
+``standing_speed_mps``, 0 by default.
+``cost_lane_integrity``  ``max(0, |d_est| + PL_CT + W / 2 - w / 2) max(v, v0) dt`` of the belief, at most 2 m, also
+without PL_CT; about the outer edges of both lanes during a change; 0 without a lane to keep (``keep_lane`` off).
 ``cost_headway``  ``max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt``, at most dt; a missing level counts as 40 m.
 No less than ``max(0, 1 - gap / d_RSS) dt`` in TRUTH, and dt while a vehicle is that near and none perceived ahead.
 So a leader that is not perceived, or has no level, does not lower the cost. Without a leader it is 0.
@@ -18,6 +19,15 @@ TRUTH; T2: time until the second one is where the first one is or just was (:mod
 ``cost_alert``  dt while an alert is older than the TTA and the car drives faster than permitted or changes lane.
 ``cost_context``  dt while the context monitor warns and the car drives faster than permitted or changes lane.
 ``cost_hmi``  dt times the share of the step's epochs whose information is hazardously misleading on either axis.
+``cost_blocking``  ``max(0, 1 - v cos(psi) / v_least) dt``, at most dt, of the TRUE car; psi: heading less the lane's,
+v_least = ``blocking_share v_flow``, under an alert no more than the permitted speed. v_flow is the least of limit,
+fastest command, comfortable speed in a bend, speed of a vehicle less than 4 s ahead (also a wreck), and the speed from
+which the car stops in comfort before its lane ends. The cost is 0 while a vehicle is to be let pass whose course
+crosses (:func:`.conflict_kernel.must_give_way`). Cars that are much slower than the flow crash more often (Solomon,
+Accidents on main rural highways, 1964).
+
+Under an alert the permitted speed is a share of the limit, or it follows from the level as shown at the last decision
+(:func:`.budget_kernel.permitted_mps`).
 
 The corridor is the lanes that the car may be in: its own, and during a commanded change the lane that the change comes
 from. Where a road ends, the lanes that lead to it and on from it count as well, and where several roads meet, all of
@@ -28,7 +38,7 @@ from __future__ import annotations
 
 import math
 
-from lanebound.envs.batch.conflict_kernel import second_arrival_s
+from lanebound.envs.batch.conflict_kernel import must_give_way, second_arrival_s
 from lanebound.envs.batch.lanes_kernel import NONE, STRAIGHT, local, of_side, straight, width_at
 from lanebound.integrity.core.accel import jit
 
@@ -219,27 +229,46 @@ def _conflict(cars, sc, lanes, c, dt):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def price(b, sc, cars, seen, count, lanes, rules, dt, out):  # type: ignore[no-untyped-def]
-    """Fill the costs of a step by cause, and their weighted sum; ``out`` holds the verdict already."""
+def _blocking(cars, lanes, along, least):  # type: ignore[no-untyped-def]
+    """By how much the ego is slower than what the flow asks of it, where nobody is to be let pass; 0 to 1."""
+    if least < STANDING_MPS or along >= least or must_give_way(cars, lanes):
+        return 0.0
+    return min(1.0 - along / least, 1.0)
+
+
+@jit(borrows=True)
+def price(b, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  # type: ignore[no-untyped-def]
+    """Fill the costs of a step by cause, and their weighted sum; ``out`` holds the verdict already.
+
+    along: speed of the true car along its lane; flow: that of the flow there [m/s].
+    """
     keep, speed, c = rules.keep_lane != 0, abs(cars[0].speed), rules.costs
+    # A body beyond its lane may be struck while it stands as well; that it stands so is not excluded by a level.
+    exposed = max(speed, c.standing_speed_mps)
     beyond = min(max(overhang_m(cars[0], sc, lanes, keep), 0.0), EXCESS_MOST_M)
     doubt = 0.0
     if keep:
         doubt = min(max(doubt_m(b, sc, b.pl_ct_m, 0.5 * cars[0].width, lanes, False), 0.0), EXCESS_MOST_M)
     late = b.alert != 0 and b.alert_age_s > c.time_to_alert_s
     limit = lanes.table[b.lane].speed_limit_mps
-    fast = limit > 0.0 and speed > c.alert_speed_share * limit
+    share = c.alert_speed_share * limit if limit > 0.0 else math.inf
+    permitted = b.permitted_mps if rules.permits != 0 else share
+    least = c.blocking_share * min(flow, rules.fastest_mps)
+    if b.alert != 0:  # who slows down as an alert demands is not blamed for it, who stands is
+        least = min(least, permitted)
     out.cost_collision = out.crashed_now
     out.cost_off_road = out.astray_now
-    out.cost_lane = beyond * speed * dt
-    out.cost_lane_integrity = doubt * speed * dt
+    out.cost_lane = beyond * exposed * dt
+    out.cost_lane_integrity = doubt * exposed * dt
     out.cost_headway = _headway(b, cars, seen, count, lanes, c) * dt
     out.cost_conflict = _conflict(cars, sc, lanes, c, dt)
-    out.cost_alert = dt if late and (fast or sc.leaving_side >= 0) else 0.0
+    out.cost_alert = dt if late and (speed > permitted or sc.leaving_side >= 0) else 0.0
     out.cost_hmi = out.hmi_share * dt
-    out.cost_context = dt if b.context_warning != 0 and (fast or sc.leaving_side >= 0) else 0.0
+    out.cost_context = dt if b.context_warning != 0 and (speed > share or sc.leaving_side >= 0) else 0.0
+    out.cost_blocking = _blocking(cars, lanes, along, least) * dt
     total = c.collision * out.cost_collision + c.off_road * out.cost_off_road + c.lane * out.cost_lane
     total += c.lane_integrity * out.cost_lane_integrity
     total += c.headway * out.cost_headway + c.conflict * out.cost_conflict
     total += c.alert * out.cost_alert
-    out.cost = total + c.hmi * out.cost_hmi + c.context * out.cost_context
+    total += c.hmi * out.cost_hmi + c.context * out.cost_context
+    out.cost = total + c.blocking * out.cost_blocking

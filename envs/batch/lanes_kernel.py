@@ -20,7 +20,7 @@ from lanebound.integrity.core.records import Records, record
 
 __all__ = [
     "ADVICE_STEP_M", "CELL", "CIRCLE", "CURVE", "JOINT", "LANE", "NODE", "NONE", "NOWHERE_M", "PAST_END_M", "SAMPLED",
-    "SINE", "SQUARE_M", "STRAIGHT", "Lanes", "advised", "centre", "closest", "heading_at", "local", "nearest",
+    "SINE", "SQUARE_M", "STRAIGHT", "Lanes", "advised", "centre", "closest", "ends", "heading_at", "local", "nearest",
     "of_side", "on_lane", "place", "reachable", "stations", "straight", "width_at",
 ]  # fmt: skip
 
@@ -449,6 +449,13 @@ def advised(lanes, n, s):  # type: ignore[no-untyped-def]
     """Speed that the bends ahead on a curve allow, as ``CurveLane.advised_speed``."""
     first, last = lanes.table[n].advice_first, lanes.table[n].advice_last - 1
     return lanes.advice[min(first + max(int(s / ADVICE_STEP_M), 0), last)]
+
+
+@jit(inline=True)
+def ends(lanes, n):  # type: ignore[no-untyped-def]
+    """Whether a lane ends: no road goes on from it, or the only one that does has no such lane."""
+    lane = lanes.table[n]
+    return lane.onward < 0 and lane.joint_last - lane.joint_onward <= 1
 
 
 @jit(inline=True)

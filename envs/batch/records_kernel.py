@@ -18,7 +18,7 @@ TERMS = ("progress", "lane_centre", "comfort", "collision", "base")
 """Terms of the reward."""
 CAUSES = (
     "cost_collision", "cost_off_road", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_conflict",
-    "cost_alert", "cost_hmi", "cost_context",
+    "cost_alert", "cost_hmi", "cost_context", "cost_blocking",
 )  # fmt: skip
 """Costs by cause."""
 
@@ -84,6 +84,7 @@ BELIEF = record(
     nis_compass="of the last compass heading of a filter, 0 without",
     trust_m="horizontal trust level of a filter, inf without",
     sdop="speed dilution of precision, inf without a Doppler velocity",
+    permitted_mps="speed permitted at the last decision, where it follows from the level; inf for no bound",
 )
 
 TRACK = record(
@@ -202,6 +203,7 @@ VIEW = record(
     alert="1 while the alert is on; never for an oracle",
     alert_age_s="how long the alert has been on",
     reason="code of AlertReason",
+    permitted_mps="speed permitted where it follows from the level, inf for no bound; always for an oracle",
 )
 EGO = record(
     belief=(BELIEF, "what the ego believes"),
@@ -244,12 +246,16 @@ COST_FIGURES = record(
     alert="weight of cost_alert [1/s]",
     hmi="weight of cost_hmi [1/s]",
     context="weight of cost_context [1/s]",
+    blocking="weight of cost_blocking [1/s]",
+    standing_speed_mps="speed that time beyond the lane counts for at least",
+    blocking_share="share of the speed of the flow below which a car blocks without an alert",
     conflict_s="time below which a crossing is a conflict",
     response_s="response time of the RSS distance",
     accelerate_mps2="acceleration during the response",
     brake_min_mps2="braking that the ego is sure to reach",
     brake_max_mps2="braking of the leader at most",
     alert_speed_share="share of the speed limit permitted during an alert",
+    alert_speed_least="share of the speed limit that a level always permits",
     time_to_alert_s="allowed for a reaction to an alert",
 )
 BUDGET = record(
@@ -275,6 +281,7 @@ RULES = record(
     al_ct_m="alert limit across the track; with a budget before the first decision",
     budgets=("i8", "1 where the alert limits are those of the moment"),
     budget=(BUDGET, "figures of these limits"),
+    permits=("i8", "1 where the speed permitted under an alert follows from the level"),
     actuated=("i8", "1 with limits of steering and a brake that holds"),
     pursues=("i8", "1 where meta-actions steer by pure pursuit"),
     lateral_mps2="largest lateral acceleration that steering asks for, negative for none",
@@ -286,6 +293,7 @@ RULES = record(
     behind_s="largest time behind a car at that speed at the end of a success",
     keep_lane=("i8", "1 when the car must keep its lane"),
     max_speed_mps="taken where a lane has no limit",
+    fastest_mps="largest target speed of meta-actions, inf where the configuration has none",
     reason_none=("i8", "code of AlertReason.NONE"),
     reason_at=("i8", "code of AlertReason.PL_AT"),
     reason_ct=("i8", "code of AlertReason.PL_CT"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from lanebound.envs.batch.belief_kernel import begin, coast, locate, settle, take, take_given, trust_anew
-from lanebound.envs.batch.budget_kernel import budget_limits
+from lanebound.envs.batch.budget_kernel import budget_limits, permitted_mps
 from lanebound.envs.batch.costs_kernel import begin_corridor, follow_corridor
 from lanebound.envs.batch.motion_kernel import advance, fill_motion, fill_whereabouts, follow_motion
 from lanebound.envs.batch.perception_kernel import claim, hear, look, see_truth, sum_up
@@ -194,9 +194,13 @@ def _score(ego, cars, picture, seen, path_of, lanes, routes, rules, start):  # t
     if rules.sees_truth != 0:
         picture.seen = see_truth(cars, b.x_m, b.y_m, False, seen)
     if rules.budgets != 0:
-        b.al_at_m, b.al_ct_m = budget_limits(b, ego.score, cars[0], seen, picture.seen, lanes, routes, rules)
+        b.al_at_m, b.al_ct_m = budget_limits(
+            b, b.speed_mps, ego.score, cars[0], seen, picture.seen, lanes, routes, rules
+        )
         trust_anew(b, ego.track, rules)
     score(b, ego.score, cars, seen, picture.seen, lanes, ego.facts, rules, start, ego.outcome)
+    if rules.permits != 0:  # after the score: a step is judged by the speed that was shown before it
+        b.permitted_mps = permitted_mps(b, ego.score, cars[0], seen, picture.seen, lanes, routes, rules)
     ego.shown = b
     if rules.shown == ORACLE:
         true_view(cars[0], lanes, path_of, rules, ego.shown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any
 
 from highway_env.vehicle.kinematics import Vehicle
@@ -10,6 +11,7 @@ from lanebound.envs.alert_limits import AlertLimit
 from lanebound.envs.batch.records_kernel import BUDGET, COST_FIGURES, GIVEN, REWARD_WEIGHTS, RULES, SENSED, TERMS
 from lanebound.envs.batch.view_kernel import BLIND, FULL, ORACLE
 from lanebound.envs.config import ActionKind, EnvConfig
+from lanebound.envs.costs import AlertSpeed
 from lanebound.envs.navigation import Source
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring.alerts import AlertReason
@@ -41,6 +43,7 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
         al_ct_m=limits_m[1],
         budgets=config.alert_limit is AlertLimit.BUDGET,
         budget=one_record(BUDGET, **{name: getattr(config.budget, name) for name in BUDGET.names or ()}),
+        permits=config.cost.alert_speed is AlertSpeed.LEVEL,
         actuated=a is not None,
         pursues=a is not None and a.steering_rate_radps is not None,
         lateral_mps2=_or_none(a.lateral_acceleration_mps2 if a else None),
@@ -52,6 +55,7 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
         behind_s=config.success_behind_s,
         keep_lane=config.keep_lane,
         max_speed_mps=Vehicle.MAX_SPEED,
+        fastest_mps=max(config.action_options.get("target_speeds", (inf,))),
         reason_none=AlertReason.NONE.code,
         reason_at=AlertReason.PL_AT.code,
         reason_ct=AlertReason.PL_CT.code,

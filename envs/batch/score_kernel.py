@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 
 from lanebound.envs.batch.costs_kernel import price
-from lanebound.envs.batch.lanes_kernel import CIRCLE, STRAIGHT, advised, local, straight, width_at
+from lanebound.envs.batch.lanes_kernel import CIRCLE, STRAIGHT, advised, ends, local, straight, width_at
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import ROUNDING_M, remainder, wrap
 
@@ -70,7 +70,8 @@ def _allowed_mps(cars, lanes, limit):  # type: ignore[no-untyped-def]
     """Speed that the limit, the bend (``sqrt(a R)`` at a comfortable a) and the vehicle ahead allow, of the TRUE car.
 
     A vehicle in the lane counts that is nearer than ``FOLLOWING_S`` at the limit, with its own speed. With a wreck as
-    near as that none counts: to wait behind it is no success.
+    near as that none counts: to wait behind it is no success. -> that speed, and the speed of the flow, for which a
+    wreck counts as well, and the end of the lane, before which a car stops in comfort.
     """
     n, allowed, nearest, wreck = cars[0].lane, limit, FOLLOWING_S * limit, False
     lane = lanes.table[n]
@@ -86,7 +87,10 @@ def _allowed_mps(cars, lanes, limit):  # type: ignore[no-untyped-def]
         wreck |= ahead & (s - place < near) & (cars[i].crashed != 0)
         if ahead & (s - place < nearest):
             nearest, leader = s - place, max(cars[i].speed, 0.0)
-    return allowed if wreck else min(allowed, leader)
+    flow = min(allowed, leader)
+    if ends(lanes, n):
+        flow = min(flow, math.sqrt(2.0 * COMFORT_MPS2 * max(lane.length_m - place, 0.0)))
+    return (allowed if wreck else min(allowed, leader)), flow
 
 
 @jit(borrows=True)
@@ -103,10 +107,11 @@ def score(b, sc, cars, seen, count, lanes, facts, rules, start, out):  # type: i
     _s, r, direction = local(lanes, cars[0].lane, cars[0].x, cars[0].y)
     angle = wrap(cars[0].heading - direction)
     along, against = speed * math.cos(angle), abs(angle) > 0.5 * math.pi
+    flow = 0.0
     if start:
         sc.heading_rad, sc.speed_mps = cars[0].heading, speed
     else:
-        allowed = _allowed_mps(cars, lanes, limit)
+        allowed, flow = _allowed_mps(cars, lanes, limit)
         sc.progress_m += along * policy
         sc.allowed_m += allowed * policy
         sc.behind_m = max(sc.behind_m + (rules.success_share * allowed - along) * policy, 0.0)
@@ -115,7 +120,7 @@ def score(b, sc, cars, seen, count, lanes, facts, rules, start, out):  # type: i
     out.yaw_rate_radps = remainder(cars[0].heading - sc.heading_rad) / policy
     sc.heading_rad = cars[0].heading
     _judge(b, sc, cars[0], facts, against, limit, rules, out)
-    price(b, sc, cars, seen, count, lanes, rules, dt, out)
+    price(b, sc, cars, seen, count, lanes, rules, dt, along, flow, out)
     rough = math.hypot((speed - sc.speed_mps) / policy, speed * out.yaw_rate_radps) / COMFORT_MPS2
     sc.speed_mps = speed
     progress, w = min(max(along / limit, -1.0), 1.0) * dt, rules.rewards

@@ -177,6 +177,7 @@ def _derive_levels(b, rules, shown, observed, trail, view):  # type: ignore[no-u
     view.ratio_ct = level / limit if exists and limit > 0.0 else math.inf
     view.margin_ct_m = limit - level if exists else -math.inf
     view.available, view.alert = _flag(oracle or b.available != 0), _flag(b.alert != 0 and not oracle)
+    view.permitted_mps = math.inf if oracle else b.permitted_mps
     view.alert_age_s, view.reason = 0.0 if oracle else b.alert_age_s, float(rules.reason_none if oracle else b.reason)
 
 

@@ -2,7 +2,8 @@
 
 from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, Roundabout
 from lanebound.envs.ids.preset import CONTINUOUS, META, Preset, has_engine, id_of, refuse_misplaced
-from lanebound.envs.ids.registry import CLASSES, IDS, enter, preset_of, presets, register_id, withdraw_id
+from lanebound.envs.ids.priced import PRICED, PRICES
+from lanebound.envs.ids.registry import CLASSES, IDS, PRICED_IDS, enter, preset_of, presets, register_id, withdraw_id
 from lanebound.envs.ids.streets import CarFollowing, LaneKeeping, UrbanCanyon
 
 __all__ = [
@@ -10,6 +11,9 @@ __all__ = [
     "CONTINUOUS",
     "IDS",
     "META",
+    "PRICED",
+    "PRICED_IDS",
+    "PRICES",
     "CarFollowing",
     "Highway",
     "Intersection",

@@ -43,7 +43,9 @@ class Highway(Preset):
 
     ## Arguments
     `config["world"]`: keys of highway-env, such as `lanes_count` (4), `vehicles_count` (50), `vehicles_density` (1),
-    `initial_lane_id`, `duration` (40 s).
+    `initial_lane_id`, `duration` (40 s). `config["traffic"]`: vehicles behind the car (`behind`, 0 to 4), at gaps of
+    0.8 to 1.6 s (`gap_s`), which react with a time constant of 1 s (`reaction_s`) and brake with at most 4 m/s2
+    (`brake_mps2`): a car that stops at once is hit.
 
     ## Version History
     * v0: first version, on `highway-v0`.

@@ -42,6 +42,10 @@ class ObservationConfig(Config):
         False,
         description="SDOP has an entry; an environment sets it for navigator.positioning.mode.doppler_max_sdop",
     )
+    permitted_speed: bool = Field(
+        False,
+        description="speed permitted under an alert has an entry; an environment sets it for cost.alert_speed: level",
+    )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
         (5.0, 10.0, 20.0, 40.0, 80.0), description="distances ahead at which the route's centreline is given; chosen"

@@ -188,6 +188,8 @@ def _levels(c: ObservationConfig) -> list[Entry]:
         g.positive("hdop", "", c.hdop_max, "horizontal dilution of precision; 1 without satellites", "belief.hdop"),
         *([g.positive("sdop", "", c.sdop_max, "speed dilution of precision of the Doppler velocity; 1 without one",
                       "belief.sdop")] if c.speed_geometry else []),
+        *([g.positive("permitted_speed", "m/s", c.speed_max_mps, "speed permitted, by the levels under an alert; 1 "
+                      "if the map has no limit", "view.permitted_mps")] if c.permitted_speed else []),
         *(_context(g) if c.context else ()),
         *(_filters(c, g) if c.filters else ()),
     ]  # fmt: skip

@@ -34,6 +34,7 @@ from lanebound.envs.vector.drivers_kernel import (
     seat,
     show,
     store,
+    take_effect,
     vehicles_in,
     wander_all,
 )
@@ -130,12 +131,12 @@ def run_motorway(first, last, rows, frames, ends, codes, cars, drivers, egos, mo
     for e in rows[first:last]:
         here = cars[e, : egos[e].vehicles]
         v = _begin(e, codes, here, drivers[e], egos[e], lanes, traffic, numbers, wholes)
-        _motorway(frames, v, here, egos[e], motions[e], lanes, rules[0], traffic, scratch)
+        _motorway(frames, v, here, drivers[e], egos[e], motions[e], lanes, rules[0], traffic, scratch)
         _end(v, here, drivers[e], egos[e], lanes, rules[0], traffic.world[0], ends)
 
 
 @jit(borrows=True)
-def _motorway(frames, v, cars, ego, motions, lanes, rules, traffic, scratch):  # type: ignore[no-untyped-def]
+def _motorway(frames, v, cars, drivers, ego, motions, lanes, rules, traffic, scratch):  # type: ignore[no-untyped-def]
     """:func:`run_motorway` for one environment.
 
     ``scratch``: newest (L + 1,), held (2, V), pairs (P,), slip (V,), front (5, V).
@@ -147,6 +148,7 @@ def _motorway(frames, v, cars, ego, motions, lanes, rules, traffic, scratch):  #
         survey(v, lanes.table, newest, held)
         change_lanes(v, lanes.table, rules.meta != 0)
         accelerate(v, lanes.table, front)
+        take_effect(v, cars.shape[0], drivers, dt)
         move_ego(v, steering, acceleration, hold, world, lanes, dt)
         ego.score.steps += 1
         wander_all(v, traffic.wander[min(ego.score.steps, traffic.wander.shape[0] - 1)], dt)

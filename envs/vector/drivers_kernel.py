@@ -19,7 +19,8 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
 
 __all__ = ["DRIVER", "NUMBERS", "SPEED_MOST_MPS", "WHOLES", "Vehicles", "clear", "command_ego", "fill_onward", "load",
-           "move_ego", "move_line", "place_objects", "roll", "seat", "show", "steer_along", "store", "vehicles_in",
+           "move_ego", "move_line", "place_objects", "roll", "seat", "show", "steer_along", "store", "take_effect",
+           "vehicles_in",
            "wander_all"]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -43,6 +44,9 @@ DRIVER = record(
     way=("i8", "row of its way through a crossing, NONE for none"),
     may_enter=("i8", "1 where it goes through"),
     entered=("i8", "simulation step of the episode at which it entered"),
+    lag_s="time constant with which its decisions on acceleration take effect, 0 for at once",
+    brake_mps2="braking at most, of a driver with a lag",
+    felt_mps2="acceleration that has taken effect, with a lag",
     wander=("f8", (WANDER_SHAPES,), "weights of the shapes of its line over time, see :mod:`..worlds.wander`"),
 )
 """State of the control of a vehicle of compiled traffic."""
@@ -156,7 +160,7 @@ def clear(cars, drivers, length, width):  # type: ignore[no-untyped-def]
         car.length, car.width = length, width
         car.lane = car.crashed = 0
         driver.target_speed = driver.timer = driver.delta = 0.0
-        driver.impact_x = driver.impact_y = driver.aside = 0.0
+        driver.impact_x = driver.impact_y = driver.aside = driver.lag_s = driver.brake_mps2 = driver.felt_mps2 = 0.0
         driver.target = driver.struck = driver.order = driver.route = driver.may_enter = driver.entered = 0
         driver.way = NONE
 
@@ -168,6 +172,23 @@ def seat(cars, drivers, count):  # type: ignore[no-untyped-def]
         cars[i].slot = i - 1 if i < count else -1
         drivers[i].order = i
         drivers[i].cos, drivers[i].sin = math.cos(cars[i].heading), math.sin(cars[i].heading)
+    for a in range(1, count):  # followers come last in the list of vehicles, and first along a motorway
+        at, x = a, cars[a].x
+        while at > 0 and cars[drivers[at - 1].order].x > x:
+            drivers[at].order = drivers[at - 1].order
+            at -= 1
+        drivers[at].order = a
+
+
+@jit(inline=True)
+def take_effect(v, count, drivers, dt):  # type: ignore[no-untyped-def]
+    """The accelerations of drivers that react late: as ``LateDriver.act``."""
+    for i in range(1, count):
+        driver = drivers[i]
+        if driver.lag_s > 0.0 and v.crashed[i] == 0:
+            decided = max(v.acceleration[i], -driver.brake_mps2)
+            driver.felt_mps2 += (decided - driver.felt_mps2) * min(dt / driver.lag_s, 1.0)
+            v.acceleration[i] = driver.felt_mps2
 
 
 @jit(inline=True)

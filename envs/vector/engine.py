@@ -31,6 +31,7 @@ from lanebound.envs.vector.support import (
 )
 from lanebound.envs.vector.turnover import Turnover
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
+from lanebound.envs.worlds.followers import seat_followers
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT
@@ -132,7 +133,8 @@ class Engine:
         self._everyone = np.arange(count)
         self._generators: list[np.random.Generator | None] = [None] * count
         self._drawn: dict[tuple[bool, int], tuple[int, int]] = {}  # by whether it is to wait, and its row
-        self.newcomers, vehicles = newcomers_of(config, self.support), self.support.vehicles(single.world)
+        self.newcomers = newcomers_of(config, self.support)
+        vehicles = self.support.vehicles(single.world) + config.traffic.behind
         capacity = min(config.slots, vehicles - 1 + self.newcomers)
         if self.newcomers:  # one may enter after each decision
             vehicles += math.ceil(self.duration_s * config.policy_hz) + 1
@@ -291,13 +293,14 @@ class Engine:
     ) -> None:  # fmt: skip
         """Put the vehicles of environments where the generator of their world draws them, and others on their lines."""
         cars, ego, drivers, traffic = stage.episodes.cars, stage.episodes.ego, stage.drivers, stage.traffic
-        wander = self.single.config.wander
+        config, table, network = self.single.config, stage.episodes.table, self.single.world.road.network
+        wander = config.wander
         clear_rows(rows, cars, drivers, Vehicle.LENGTH, Vehicle.WIDTH)
-        for e, generator in zip(rows.tolist(), generators, strict=True):
-            ego["vehicles"][e] = self._start(generator, cars[e], drivers[e], traffic.profile[e])
+        for e, seed, generator in zip(rows.tolist(), seeds, generators, strict=True):
+            count = self._start(generator, cars[e], drivers[e], traffic.profile[e])
+            ego["vehicles"][e] = seat_followers(config.traffic, seed, cars[e], drivers[e], count, table, network)
         states = wander.states(seeds) if wander.wanders else None
-        lanes = stage.episodes.table.lanes
-        seat_rows(rows, cars, drivers, ego, traffic.wander, states, ZIGGURAT, lanes, traffic.roads.routes)
+        seat_rows(rows, cars, drivers, ego, traffic.wander, states, ZIGGURAT, table.lanes, traffic.roads.routes)
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""

@@ -161,7 +161,7 @@ def require_supported(single: DrivingEnv) -> None:
         _require_drivers(support.drivers, *TRAFFIC[support.traffic][1:], support.traffic)
     if world.config.get("vehicles_count", 0) > config.slots:
         raise _refusal("world.vehicles_count", f"at most slots = {config.slots}", world.config["vehicles_count"])
-    if (others := support.vehicles(world) - 1) > config.slots:
+    if (others := support.vehicles(world) - 1 + config.traffic.behind) > config.slots:
         raise _refusal("slots", f"{others} or more, as many as others there may be at a start", config.slots)
     if config.action is ActionKind.CONTINUOUS and isinstance(world.action_type, DiscreteAction):
         raise _refusal("action_options.type", "ContinuousAction", "DiscreteAction")

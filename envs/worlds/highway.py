@@ -27,7 +27,7 @@ def motorway_support() -> Support:
     """Support of ``highway-v0`` and ``highway-fast-v0`` by the vector engine."""
     return Support(
         traffic="motorway",
-        vehicles=lambda world: len(world.road.vehicles),
+        vehicles=_vehicles,
         starter=_lined_up,
         ends=_ends,
         refusals=only_idm,
@@ -35,16 +35,22 @@ def motorway_support() -> Support:
     )
 
 
+def _vehicles(world: AbstractEnv) -> int:
+    """The ego and those ahead; followers come on top."""
+    return 1 + int(world.config["vehicles_count"])
+
+
 def _lined_up(world: AbstractEnv, table: LaneTable) -> Starter:
     """Starter with the random draws of ``HighwayEnv`` in the same order."""
     from lanebound.envs.vector.start_kernel import line_up
 
     c, lane = world.config, world.config["initial_lane_id"]
+    count = _vehicles(world)
     ego_lane, spacings = -1 if lane is None else int(lane), (float(c["ego_spacing"]), 1.0 / c["vehicles_density"])
 
     def start(rng: np.random.Generator, cars: Records, drivers: Records, profile: NDArray[np.float64]) -> int:
-        line_up(rng, cars, drivers, table.lanes.table, ego_lane, *spacings)
-        return len(cars)
+        line_up(rng, cars[:count], drivers[:count], table.lanes.table, ego_lane, *spacings)
+        return count
 
     return start
 

@@ -20,6 +20,22 @@ def test_what_does_too_well_is_named() -> None:
     assert lines("X", {SOUND: GOOD, "crawl": GOOD})[1].endswith("| half of the successes within the limit |")
 
 
+def test_who_is_within_the_limit_half_as_often_is_named() -> None:
+    sound = GOOD._replace(within=0.7)
+    assert sound.matched_by(GOOD._replace(within=0.35)) == []
+    assert sound.matched_by(GOOD._replace(within=0.36)) == ["half as often within the limit"]
+    assert lines("XPriced", {SOUND: sound, "stand": sound})[1].endswith("| half as often within the limit |")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["LaneKeepingPriced", "CarFollowingPriced", "MergePriced"])
+def test_where_stopping_has_a_price_no_policy_without_sense_keeps_the_limit(name: str) -> None:
+    found = scores(name, 12, 10_000)
+    assert {label: found[SOUND].matched_by(score) for label, score in found.items() if label != SOUND} == {
+        label: [] for label in found if label != SOUND
+    }
+
+
 @pytest.mark.parametrize(("success", "cost", "found"), [(True, 15.0, 1.0), (True, 15.1, 0.0), (False, 0.0, 0.0)])
 def test_a_success_within_the_limit_needs_both(success: bool, cost: float, found: float) -> None:
     outcome = Outcome("LaneKeeping-v0", "urban", "none", "nominal", 1, success=success, cost=cost, cost_limit=15.0)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.agents.drivers import make_agent
+from lanebound.agents.episodes import full_id
 from lanebound.envs.core import DrivingEnv
 
 BATCH = 64  # environments of the engine
@@ -33,7 +34,7 @@ class Decisions(NamedTuple):
 
 def single_of(name: str, config: Mapping[str, Any]) -> DrivingEnv:
     """A single environment of an id."""
-    env = gymnasium.make(f"lanebound/{name}-v0", config=dict(config)).unwrapped
+    env = gymnasium.make(full_id(name), config=dict(config)).unwrapped
     assert isinstance(env, DrivingEnv)
     return env
 
@@ -45,7 +46,7 @@ def drives(
     made = {**config, "observation": {**config.get("observation", {}), "form": "flat"}}
     env = single_of(name, made)
     driver = make_agent(agent, env, figures)
-    compiled = gymnasium.spec(f"lanebound/{name}-v0").vector_entry_point is not None
+    compiled = gymnasium.spec(full_id(name)).vector_entry_point is not None
     return _compiled(name, made, driver, episodes, seed) if compiled else _single(env, driver, episodes, seed)
 
 
@@ -63,7 +64,7 @@ def _single(env: DrivingEnv, driver: Any, episodes: int, seed: int) -> Iterator[
 
 def _compiled(name: str, config: dict[str, Any], driver: Any, episodes: int, seed: int) -> Iterator[Decisions]:
     count = min(episodes, BATCH)
-    envs = gymnasium.make_vec(f"lanebound/{name}-v0", count, config=config, autoreset_mode="Disabled")
+    envs = gymnasium.make_vec(full_id(name), count, config=config, autoreset_mode="Disabled")
     for first in range(0, episodes, count):
         observations, _ = envs.reset(seed=seed + first)
         live, state, start = np.ones(count, dtype=np.bool_), None, np.ones(count, dtype=np.bool_)

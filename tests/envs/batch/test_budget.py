@@ -14,7 +14,7 @@ from highway_env.road.road import RoadNetwork
 import lanebound.envs  # noqa: F401
 from lanebound.agents.drivers import make_agent
 from lanebound.envs.alert_limits import BudgetConfig
-from lanebound.envs.batch.budget_kernel import budget_limits
+from lanebound.envs.batch.budget_kernel import budget_limits, permitted_mps
 from lanebound.envs.batch.lanes import lane_table
 from lanebound.envs.batch.lanes_kernel import centre, local, width_at
 from lanebound.envs.batch.records_kernel import BELIEF, BUDGET, CAR, PERCEIVED, RULES, SCORE
@@ -73,7 +73,7 @@ class Scene:
     def limits(self, b: Records, count: int = 0) -> tuple[float, float]:
         """Along and across [m]."""
         along, across = budget_limits(
-            b, self.score, self.car, self.seen, count, self.lanes, self.routes.map, self.rules
+            b, b["speed_mps"], self.score, self.car, self.seen, count, self.lanes, self.routes.map, self.rules
         )
         return float(along), float(across)
 
@@ -143,6 +143,33 @@ def test_behind_a_leader_reaction_and_braking_are_taken_off_the_gap() -> None:
     assert scene.limits(b, 1)[0] == FIGURES.most_m, "it is behind"
     scene.follow(b, gap_m=5.0, speed_mps=6.0, level_m=math.inf)
     assert scene.limits(b, 1)[0] == FIGURES.least_m
+
+
+def test_a_level_permits_the_speed_at_which_it_sweeps_what_the_limits_may() -> None:
+    """On a straight lane of 10 m/s: half of it where a level equals its limit, less in proportion to the level."""
+    scene, share = Scene(bend()), CostConfig().alert_speed_share
+    b, room = scene.belief(0, 20.0), 0.5 * WIDTH_M - HALF_BODY_M - FIGURES.tracking_m
+
+    def permitted(count: int = 0, **levels: float) -> float:
+        for name, value in levels.items():
+            b[name] = value
+        found = permitted_mps(b, scene.score, scene.car, scene.seen, count, scene.lanes, scene.routes.map, scene.rules)
+        return float(found)
+
+    assert permitted(pl_ct_m=5.0 * room, alert=0) == 10.0
+    assert permitted(pl_ct_m=room, alert=1) == pytest.approx(10.0 * share, abs=0.02)
+    assert permitted(pl_ct_m=2.0 * room) == pytest.approx(5.0 * share, abs=0.02)
+    assert permitted(pl_ct_m=0.4 * room) == 10.0
+    assert permitted(pl_ct_m=math.inf) == pytest.approx(2.5)
+    scene.rules["costs"]["alert_speed_least"] = 0.0
+    assert permitted(pl_ct_m=math.inf) == 0.0
+    scene.follow(b, gap_m=20.0, speed_mps=0.0, level_m=2.0)
+    v = permitted(1, pl_ct_m=0.0, pl_at_m=3.0)
+    left = 18.0 - v * (CostConfig().response_s + POLICY_S) - v * v / (2.0 * CostConfig().brake_min_mps2)
+    assert v * 3.0 == pytest.approx(10.0 * share * left, abs=0.3)  # the limit along at that speed
+    assert permitted(1, pl_at_m=6.0) < v
+    scene.rules["budgets"], b["al_at_m"], b["al_ct_m"] = 0, 1.5, 1.0
+    assert permitted(0, pl_at_m=3.0) == pytest.approx(5.0 * share, abs=0.02)
 
 
 def test_before_the_end_of_a_lane_and_where_courses_cross_half_a_lane_is_left() -> None:
