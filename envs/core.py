@@ -153,6 +153,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost` and the causes above | weighted sum; unweighted causes |
     | `rewards` | unweighted terms |
 
+    Under `faults: one` also the fault of the episode, as numbers ([faults](#one-fault-in-each-episode)): `fault_kind`,
+    `fault_onset_s`, `fault_weight`, `fault_probability`, `no_fault_probability`.
+
     ## Starting State
     `reset(seed=...)` determines the whole episode: traffic, one of 4 generated cities along the roads, the hour of the
     constellations, all sensor noise. The navigator runs for 3 s before the episode on a straight approach, from errors
@@ -182,7 +185,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | key | meaning |
     |---|---|
     | `sky` | `"open"`, `"suburban"`, `"urban"`, `"dense"`, `"plaza"`, a recorded sky (`.csv`), or your own (`.yaml`) |
-    | `faults` | random faults: `"none"`, `"nominal"` or `"stress"` |
+    | `faults` | random faults: `"none"`, `"nominal"`, `"stress"` or `"one"` |
     | `action`, `policy_hz`, `simulation_hz` | kind of action; decisions and steps of the dynamics (20) in a second |
     | `navigation.source` | `"navigator"`, `"perfect"` (true pose) or `"offset"` (true pose plus a constant error) |
     | `perception.source` | `"v2v"`, `"sensor"`, `"both"`, `"truth"` or `"none"` |

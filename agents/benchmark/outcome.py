@@ -73,6 +73,9 @@ class Outcome:
         error; None when no error was above its limit
     missed_alerts : number of errors above their limits that ended without an alert
     continuity : share of available steps after which the next one is available; 0 without any
+    fault_kind, fault_onset_s, fault_weight, fault_probability, no_fault_probability : of the one fault of ``faults:
+        one``, as in ``info``; None without
+    fault_alert_s : time from its onset to the first alert that begins after it; None without
     solve_ms_median, solve_ms_p99 : time of a decision [ms]
     infeasible, relaxed : decisions without a command that meets the agent's constraints, and decisions for which it
         weakened one; None for agents that do not count them
@@ -119,6 +122,12 @@ class Outcome:
     time_to_alert_s: float | None = None
     missed_alerts: int = 0
     continuity: float | None = None
+    fault_kind: str | None = None
+    fault_onset_s: float | None = None
+    fault_weight: float | None = None
+    fault_probability: float | None = None
+    no_fault_probability: float | None = None
+    fault_alert_s: float | None = None
     solve_ms_median: float | None = None
     solve_ms_p99: float | None = None
     infeasible: int | None = None

@@ -10,11 +10,13 @@ from benchmarks import made_up_outcome, made_up_rows, made_up_suite
 
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.outcome import LEVEL_MAX_M
-from lanebound.agents.benchmark.scoring import outcome_of, outcome_of_statistics
+from lanebound.agents.benchmark.scoring import fault_figures, outcome_of, outcome_of_statistics
 from lanebound.agents.learning.evaluation import JUDGED
 from lanebound.envs.episode_totals import EpisodeTotals
+from lanebound.envs.info import FAULT_INFO
 from lanebound.envs.observation.config import ObservationConfig
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sensors.fault_registry import fault_kinds
 
 DT_S = 0.2
 
@@ -90,6 +92,18 @@ def test_an_alert_that_never_comes_is_later_than_any_that_comes():
     assert (after.time_to_alert_s, after.missed_alerts) == (pytest.approx(DT_S), 1)
     nothing = outcome_of(rows(6), 2.0)
     assert (nothing.time_to_alert_s, nothing.missed_alerts) == (None, 0)
+
+
+def test_an_alert_counts_as_one_after_a_fault_if_it_begins_after_the_onset():
+    place = [kind.name for kind in fault_kinds()].index("jamming")
+    info = dict.fromkeys(FAULT_INFO, 0.25) | {"fault_kind": float(place), "fault_onset_s": 0.5}
+    before = [True, True, True, True, False, True, False]
+    found = fault_figures(rows(6, alert=before), info)
+    assert (found["fault_kind"], found["fault_weight"], found["fault_onset_s"]) == ("jamming", 0.25, 0.5)
+    assert found["fault_alert_s"] == pytest.approx(5 * DT_S - 0.5)
+    assert fault_figures(rows(6, alert=[False] * 2 + [True] * 5), info)["fault_alert_s"] is None, "it was on before"
+    assert fault_figures(rows(6), info)["fault_alert_s"] is None
+    assert fault_figures(rows(6), {"alert": False}) == {}, "without faults: one"
 
 
 def test_departures_are_those_of_the_true_body():
