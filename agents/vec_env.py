@@ -26,7 +26,7 @@ from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import faults_in
 from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
 from lanebound.envs.ids import has_engine, preset_of
-from lanebound.envs.info import info_entries
+from lanebound.envs.info import own_info
 from lanebound.envs.vector.env import VectorDrivingEnv, WrappedVectorEnv, engine_class, engines
 from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.accel import LOGGER
@@ -79,10 +79,6 @@ class EngineVecEnv(VecEnv):
             )
         if isinstance(keys, str):
             raise InputError(f"keys must be a list of entries of info, got {keys!r}: pass [{keys!r}]")
-        known = (*NAMES, *(entry.name for entry in info_entries()))
-        for key in keys:
-            if key not in known:
-                raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, known)}")
         self.envs: VectorDrivingEnv = make(
             num_envs,
             config,
@@ -90,6 +86,10 @@ class EngineVecEnv(VecEnv):
             processes=processes,
             initialize=partial(load_plugins, tuple(loaded_plugins())),
         )
+        known = (*NAMES, *own_info(self.envs.config))
+        for key in keys:
+            if key not in known:
+                raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, known)}")
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
         if (threads := torch.get_num_threads()) > 1:
             _advise_one_thread(threads)

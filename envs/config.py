@@ -38,16 +38,20 @@ class ActionKind(Enum):
 
 
 class FaultLevel(Enum):
-    """Rates of random faults of sensors, satellites and links."""
+    """Random faults of sensors, satellites and links: none, at two rates, or exactly one in each episode."""
 
     NONE = "none"
     NOMINAL = "nominal"
     STRESS = "stress"
+    ONE = "one"
 
     @property
     def priors(self) -> FaultPriors | None:
-        """Rates by kind of fault; None without any."""
-        return None if self is FaultLevel.NONE else FaultPriors.preset(f"sensors/fault_priors_{self.value}")
+        """Rates by kind of fault; those of one fault are the nominal ones; None without any."""
+        if self is FaultLevel.NONE:
+            return None
+        rates = FaultLevel.NOMINAL if self is FaultLevel.ONE else self
+        return FaultPriors.preset(f"sensors/fault_priors_{rates.value}")
 
 
 class EnvConfig(Config):
@@ -69,7 +73,9 @@ class EnvConfig(Config):
     )
     layouts: int = Field(4, ge=1, le=64, description="number of generated cities, one of them drawn for each episode")
     extent_m: float = Field(2500.0, gt=0, description="length of a lane that is lined with buildings")
-    faults: FaultLevel = Field(FaultLevel.NONE, description="rates of random faults")
+    faults: FaultLevel = Field(
+        FaultLevel.NONE, description="random faults: their rates, or one in each episode, with its weight in info"
+    )
     navigation: NavigationConfig = Field(NavigationConfig(), description="source of the ego's position")
     navigator: Mapping[str, Any] = Field(
         {}, description="keys of NavigatorConfig, merged deeply over those of the sky; or name of a preset or a kind"
@@ -241,6 +247,16 @@ class EnvConfig(Config):
         if self.faults is not FaultLevel.NONE and self.perception.has_radio and not self.perception.others_navigate:
             raise ConfigError(
                 f"perception.others must be 'full' with faults {self.faults.value!r}, got 'surrogate': set it to full"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _one_fault_strikes(self) -> Self:
+        # An episode that no fault can reach would count as one with a fault.
+        if self.faults is FaultLevel.ONE and not self.navigation.source.uses_sensors:
+            raise ConfigError(
+                f"navigation.source must be 'navigator' with faults 'one', got {self.navigation.source.value!r}: set "
+                "it, or faults to none"
             )
         return self
 

@@ -171,6 +171,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `costs` | the unweighted causes as one vector (10,), float64, in the order of `lanebound.envs.costs.CAUSES` |
     | `rewards` | unweighted terms |
 
+    Under `faults: one` also the fault of the episode, as numbers ([faults](#one-fault-in-each-episode)): `fault_kind`,
+    `fault_onset_s`, `fault_weight`, `fault_probability`, `no_fault_probability`.
+
     ## Starting State
     `reset(seed=...)` determines the whole episode: traffic, one of 4 generated cities along the roads, the hour of the
     constellations, all sensor noise. The navigator starts 3 s before the episode on a straight approach, from errors of

@@ -16,9 +16,10 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import remove_registered, require_new
 
 if TYPE_CHECKING:
+    from lanebound.envs.config import EnvConfig
     from lanebound.envs.observation import Observed
 
-__all__ = ["INFO", "InfoEntry", "info_entries", "register_info", "withdraw_info"]
+__all__ = ["FAULT_INFO", "INFO", "InfoEntry", "info_entries", "own_info", "register_info", "withdraw_info"]
 
 INFO: dict[str, str] = {
     "cost": "weighted sum of the costs of this step",
@@ -60,6 +61,15 @@ INFO: dict[str, str] = {
     "yaw_rate_radps": "true turn rate over the step [rad/s]",
 }
 
+FAULT_INFO: dict[str, str] = {
+    "fault_kind": "place of the kind of the episode's fault in fault_kinds(), from 0",
+    "fault_onset_s": "onset of the fault since the start of the episode [s]",
+    "fault_weight": "probability of the kind at nominal rates, given one fault, over that of the draw [-]",
+    "fault_probability": "of exactly one fault of the ego, or of what it shares, at nominal rates [-]",
+    "no_fault_probability": "of none at nominal rates [-]",
+}
+"""Entries under ``faults: one``, the same in all steps of an episode."""
+
 
 @dataclass(frozen=True)
 class InfoEntry:
@@ -84,6 +94,12 @@ def info_entries() -> tuple[InfoEntry, ...]:
     return tuple(_registered)
 
 
+def own_info(config: EnvConfig) -> dict[str, str]:
+    """Names and meanings of the entries that not all environments have: of one fault, and those that are registered."""
+    of_fault = FAULT_INFO if config.faults.value == "one" else {}
+    return of_fault | {entry.name: entry.meaning for entry in _registered}
+
+
 def register_info(entry: InfoEntry) -> None:
     """Add a number to ``info``, for all environments that are made from now on.
 
@@ -92,7 +108,7 @@ def register_info(entry: InfoEntry) -> None:
     InputError
         The name is taken or no identifier, or the source is no function.
     """
-    require_new("an entry of info", entry.name, {*INFO, *(other.name for other in _registered)})
+    require_new("an entry of info", entry.name, {*INFO, *FAULT_INFO, *(other.name for other in _registered)})
     if not callable(entry.source):
         raise InputError(f"source of info.{entry.name} must be a function of Observed, got {entry.source!r}: give one")
     _registered.append(entry)

@@ -103,7 +103,8 @@ roof and of what is beside it ([signals](results/signals.md#near-objects)).
 ## Faults
 
 `faults="nominal"` draws random faults at published rates (rare events), `"stress"` at rates so high that every kind is
-expected within about an hour of driving. `reset(options={"faults": [...]})` replaces them:
+expected within about an hour of driving. `reset(options={"faults": [...]})` replaces them
+(all but those of `"one"`):
 
 ```pycon
 >>> env = gymnasium.make("lanebound/LaneKeeping-v0", config={"sky": "open"})
@@ -114,6 +115,34 @@ expected within about an hour of driving. `reset(options={"faults": [...]})` rep
 ```
 
 @FAULT_KINDS@
+
+### One fault in each episode
+
+`faults="one"` draws exactly one fault in each episode, so that misleading information and late alerts, which nominal
+rates hardly ever show, can be measured and learnt. It strikes the ego or what all vehicles share. Each kind with a
+nominal rate above 0 is equally likely, but for `v2v_lie`, which a vehicle does not feel itself. Target, length and size
+are drawn as at nominal rates; the onset is uniform over the longest time of an episode, so that an episode may be over
+before it. `info` has:
+
+| key | value |
+|---|---|
+| `fault_kind` | place of the kind in `fault_kinds()`, as in the table above, from 0 |
+| `fault_onset_s` | onset since the start of the episode |
+| `fault_weight` | w: probability of the kind at nominal rates, given exactly one fault, over that of the draw |
+| `fault_probability` | P1 = L exp(-L): of one such fault at nominal rates; L: their expected number in an episode |
+| `no_fault_probability` | P0 = exp(-L): of none |
+
+For any figure X of an episode, `E[X] = P0 E[X | none] + P1 E[w X | one] + rest`; the rest is of episodes with two
+faults and more (with probability 1 - P0 - P1). The [benchmark](benchmark.md#one-fault) estimates both terms.
+
+```pycon
+>>> from lanebound.integrity.sensors.fault_registry import fault_kinds
+>>> env = gymnasium.make("lanebound/LaneKeeping-v0", config={"faults": "one"})
+>>> observation, info = env.reset(seed=1)
+>>> kind, weight = fault_kinds()[int(info["fault_kind"])].name, info["fault_weight"]
+>>> env.close()
+
+```
 
 [Extending](extending.md#fault-kind) describes kinds of your own.
 

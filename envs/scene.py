@@ -18,7 +18,8 @@ from lanebound.envs.batch.perception import PerceptionBatch
 from lanebound.envs.batch.route_map import routes_of
 from lanebound.envs.batch.rules import rules_of
 from lanebound.envs.batch.skies import HOURS, Cities, Skies
-from lanebound.envs.config import EnvConfig
+from lanebound.envs.config import EnvConfig, FaultLevel
+from lanebound.envs.info import FAULT_INFO
 from lanebound.envs.recordings import recordings_of
 from lanebound.envs.road_map import road_map_of
 from lanebound.envs.sky import SkyLevel, Street, build_street
@@ -28,7 +29,8 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.risk import upper_quantile
 from lanebound.integrity.navigators.navigator import NavigatorConfig
-from lanebound.integrity.sensors.campaign import FaultPriors, random_campaign
+from lanebound.integrity.sensors.campaign import random_campaign, single_fault
+from lanebound.integrity.sensors.fault_registry import fault_kinds
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 
 __all__ = ["MAP_SHARE", "EpisodeContext", "alert_limits_m", "begin_all", "duration_s", "give_faults", "make_batch",
@@ -119,9 +121,8 @@ def begin_all(
         starts = draw_starts(seeds, config.layouts, HOURS, navigating, config.navigation.source.uses_sensors)
     episodes.begin(rows, seeds, starts, crew)
     if navigation is not None:
-        priors = config.faults.priors
         for row, others, seed in zip(rows.tolist(), slots.tolist(), seeds, strict=True):
-            _put(navigation, row, config, _campaign(navigation, row, priors, duration_s, others, seed))
+            _put(navigation, row, config, _drawn(episodes, row, duration_s, others, seed))
     return starts
 
 
@@ -194,7 +195,7 @@ def set_scene(
     if faults is not None:
         give_faults(episodes, 0, faults, ends_s)
     elif navigation is not None:
-        _put(navigation, 0, config, _campaign(navigation, 0, config.faults.priors, ends_s, capacity, seed))
+        _put(navigation, 0, config, _drawn(episodes, 0, ends_s, capacity, seed))
     here = np.zeros(1, dtype=np.int64)
     return EpisodeContext(street, episodes, seed, starts._replace(layout=here, hour=here))
 
@@ -205,8 +206,11 @@ def give_faults(episodes: Episodes, row: int, faults: Sequence[Fault], duration_
     Raises
     ------
     InputError
-        One of them cannot act.
+        One of them cannot act, or each episode has one random fault by configuration.
     """
+    # They would count with the weight and the probability of another fault.
+    if episodes.config.faults is FaultLevel.ONE:
+        raise InputError(f"options.faults must be left out with faults 'one', got {len(faults)}: set faults to none")
     if faults:
         alone = episodes.perception.recordings is not None
         _require_effect(faults, episodes.navigation, row, duration_s, alone)
@@ -261,12 +265,22 @@ def _require_effect(
             )
 
 
-def _campaign(
-    navigation: NavigationBatch, row: int, priors: FaultPriors | None, duration_s: float, others: int, seed: int
-) -> tuple[Fault, ...]:
-    """The random faults of an episode: of what all share, of the ego (row 0) and of the other slots (1 and up)."""
-    if priors is None:
+def _drawn(episodes: Episodes, row: int, duration_s: float, others: int, seed: int) -> tuple[Fault, ...]:
+    """The random faults of an episode: of what all share, of the ego (row 0) and of the other slots (1 and up).
+
+    The one fault of ``faults: one`` is of the ego or of what all share, and ``info`` tells it.
+    """
+    level, navigation = episodes.config.faults, episodes.navigation
+    priors = level.priors
+    if priors is None or navigation is None:
         return ()
-    track = navigation.skies.risen(int(navigation.hour[row]))
-    sky = track.at(track.start_s, np.zeros(others + 1, dtype=np.int64))
-    return random_campaign(priors, duration_s, named_generator(seed, "faults"), sky)
+    track, rng = navigation.skies.risen(int(navigation.hour[row])), named_generator(seed, "faults")
+    crew = 1 if level is FaultLevel.ONE else 1 + others
+    sky = track.at(track.start_s, np.zeros(crew, dtype=np.int64))
+    if level is not FaultLevel.ONE:
+        return random_campaign(priors, duration_s, rng, sky)
+    fault, *figures = single_fault(priors, duration_s, rng, sky)
+    told = fault_kinds().index(fault.declaration), fault.start_s, *figures
+    for name, value in zip(FAULT_INFO, told, strict=True):
+        episodes.own_info[name][row] = value
+    return (fault,)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lanebound.agents.benchmark.outcome import Outcome, Task
-from lanebound.agents.benchmark.scoring import outcome_of
+from lanebound.agents.benchmark.scoring import fault_figures, outcome_of
 from lanebound.agents.drivers.base import Driver
 from lanebound.agents.episodes import EpisodeLog, drive
 from lanebound.agents.episodes.drive import Watcher
@@ -57,7 +57,8 @@ def run_episode(
         status, message = failure.status, str(failure)
     except Exception as error:
         status, message = "raised", f"in the environment: {error_text(error)}"
-    figures = {"status": status, "message": message, **_solve_times(agent), **_counted(agent)}
+    fault = fault_figures(log.rows, env.belief_loop.info) if env.belief_loop is not None else {}
+    figures = {"status": status, "message": message, **fault, **_solve_times(agent), **_counted(agent)}
     return log.rows, outcome_of(log.rows, allotted_s(env), task, env.config, **figures)
 
 

@@ -31,6 +31,7 @@ SUITES = (
     "standard",
     "claim",
     "faults",
+    "one_fault",
     "look_ahead",
     "learnt",
     "degenerate",

@@ -85,6 +85,9 @@ class Outcome:
     manoeuvre_continuity : of the steps without an alert and MANOEUVRE_S before the end at least, the share after which
         no alert comes for as long (S3 II.A); None without such a step
     first_fix_s : time to the first position by satellites; without one, the time of the episode
+    fault_kind, fault_onset_s, fault_weight, fault_probability, no_fault_probability : of the one fault of ``faults:
+        one``, as in ``info``; None without
+    fault_alert_s : time from its onset to the first alert that begins after it; None without
     solve_ms_median, solve_ms_p99 : time of a decision [ms]
     infeasible, relaxed : decisions without a command that meets the agent's constraints, and decisions for which it
         weakened one; None for agents that do not count them
@@ -141,6 +144,12 @@ class Outcome:
     continuity: float | None = None
     manoeuvre_continuity: float | None = None
     first_fix_s: float | None = None
+    fault_kind: str | None = None
+    fault_onset_s: float | None = None
+    fault_weight: float | None = None
+    fault_probability: float | None = None
+    no_fault_probability: float | None = None
+    fault_alert_s: float | None = None
     solve_ms_median: float | None = None
     solve_ms_p99: float | None = None
     infeasible: int | None = None

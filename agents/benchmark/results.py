@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from lanebound.agents.benchmark.fault_rates import FaultCell, FaultRate, fault_cells, fault_rates
 from lanebound.agents.benchmark.metrics import METRICS, Metric
 from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.statistics import (
@@ -116,6 +117,7 @@ class Results:
     suite : the whole suite
     outcomes : one for each finished episode, in the order of the suite's tasks
     cells, paired : estimates and differences, in the same order
+    fault_cells, fault_rates : of cells with ``faults: one``, by kind of fault and at nominal rates
     missing : ids of the episodes that were not driven
     left_out : agents that cannot drive an environment, as ``(env, agent, reason)``; their episodes are not missing
     folder : of the results; None for results without files
@@ -128,6 +130,8 @@ class Results:
     missing: list[str] = field(default_factory=list)
     left_out: list[tuple[str, str, str]] = field(default_factory=list)
     folder: Path | None = None
+    fault_cells: list[FaultCell] = field(default_factory=list)
+    fault_rates: list[FaultRate] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -152,7 +156,9 @@ class Results:
         ordered = [found[task.id] for task in tasks if task.id in found]
         missing = [task.id for task in tasks if task.id not in found]
         groups = _groups(ordered)
-        return cls(suite, ordered, _cells(suite, groups), _pairs(suite, groups), missing, list(left_out), folder)
+        own = _cells(suite, groups), _pairs(suite, groups)
+        given = fault_cells(groups), fault_rates(groups)
+        return cls(suite, ordered, *own, missing, list(left_out), folder, *given)
 
     @classmethod
     def load(cls, folder: Path | str) -> Results:
@@ -195,6 +201,8 @@ class Results:
             "metrics": [_described(metric) for metric in METRICS],
             "cells": [asdict(cell) for cell in self.cells],
             "paired": [asdict(pair) for pair in self.paired],
+            "fault_cells": [asdict(cell) for cell in self.fault_cells],
+            "fault_rates": [asdict(rate) for rate in self.fault_rates],
             "failures": [{"id": o.id, "status": o.status, "message": o.message} for o in self.failures],
             "left_out": [{"env": env, "agent": agent, "why": why} for env, agent, why in self.left_out],
             "missing": self.missing,

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, MANOEUVRE_S, TTA_S, Outcome, Place, Task
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.costs import CAUSES
+from lanebound.envs.info import FAULT_INFO
 from lanebound.integrity.assessment.events import alert_delays
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sensors.fault_registry import fault_kinds
 
-__all__ = ["UNNAMED", "outcome_of", "outcome_of_statistics"]
+__all__ = ["UNNAMED", "alert_figures", "fault_figures", "outcome_of", "outcome_of_statistics"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -135,7 +137,7 @@ def _figures(rows: Sequence[Row], allotted_s: float) -> dict[str, Any]:
         "lane_departure": bool((_column(rows, "cost_lane") > 0.0).any()),
         **_comfort(rows),
         **_integrity(rows[1:]),
-        **_alerts(rows),
+        **alert_figures(rows),
         "first_fix_s": _first_fix_s(rows),
     }
 
@@ -198,8 +200,33 @@ def _integrity(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def _alerts(rows: Sequence[Row]) -> dict[str, Any]:
-    """Alerts, and errors above their limits with late or missing alerts."""
+def fault_figures(rows: Sequence[Row], info: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes of an outcome that tell of the one fault of its episode; none without one.
+
+    Parameters
+    ----------
+    rows : of the episode, its start first, with ``time_s`` and ``alert``
+    info : of any step
+    """
+    if FAULT_INFO.keys() - info.keys():
+        return {}
+    onset_s, alert, time_s = info["fault_onset_s"], _flags(rows, "alert"), _column(rows, "time_s")
+    begun = time_s[1:][alert[1:] & ~alert[:-1] & (time_s[1:] > onset_s)]
+    kind = fault_kinds()[int(info["fault_kind"])].name
+    return {
+        **{name: float(info[name]) for name in FAULT_INFO},
+        "fault_kind": kind,
+        "fault_alert_s": float(begun[0] - onset_s) if begun.size else None,
+    }
+
+
+def alert_figures(rows: Sequence[Row]) -> dict[str, Any]:
+    """Alerts, and errors above their limits with late or missing alerts.
+
+    Parameters
+    ----------
+    rows : of an episode, its start first: ``time_s``, ``alert``, errors and alert limits
+    """
     time_s, alert = _column(rows, "time_s"), _flags(rows, "alert")[1:]
     onset_s, last_s, over_s = _failures(rows[1:], time_s)
     delay_s = alert_delays(time_s[1:], alert, onset_s, last_s)

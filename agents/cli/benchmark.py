@@ -179,6 +179,7 @@ def _length(hours: float) -> str:
 
 def _print(results: Results, budget: float | None, full: bool, as_json: bool) -> None:
     from lanebound.agents.cli.benchmark_tables import print_results
+    from lanebound.agents.cli.fault_tables import print_given_fault
     from lanebound.agents.cli.output import print_json
     from lanebound.agents.cli.overview import print_overview
 
@@ -186,6 +187,7 @@ def _print(results: Results, budget: float | None, full: bool, as_json: bool) ->
         print_json(results.to_dict())
         return
     (print_results if full else print_overview)(results)
+    print_given_fault(results)
     if results.missing:
         why = "" if budget is None else f": the budget of {budget:g} h is used up"
         missing = f"{counted(len(results.missing), 'episode')} {'is' if len(results.missing) == 1 else 'are'} missing"

@@ -114,7 +114,7 @@ def _details(env: DrivingEnv) -> dict[str, Any]:
         "index": [
             asdict(entry) | {"column": entry.column, "source": _source(entry.source)} for entry in env.observer.index
         ],
-        "info": _info(),
+        "info": _info(env),
         "cost_weights": env.config.cost.weights,
     }
 
@@ -124,10 +124,10 @@ def _source(source: Any) -> str:
     return source if isinstance(source, str) else f"{source.__module__}:{source.__qualname__}"
 
 
-def _info() -> dict[str, str]:
-    from lanebound.envs.info import INFO, info_entries
+def _info(env: DrivingEnv) -> dict[str, str]:
+    from lanebound.envs.info import INFO, own_info
 
-    return INFO | {entry.name: entry.meaning for entry in info_entries()}
+    return INFO | own_info(env.config)
 
 
 def _show(env: DrivingEnv) -> None:
@@ -141,7 +141,7 @@ def _show(env: DrivingEnv) -> None:
     own = [entry for entry in describe(env.config) if "." not in entry.path]
     print_table("Configuration, without its sections (see --json)", ("key", "value", "unit", "what it is"), _texts(own))
     print_table("Observation", ("flat", "entry", "unit", "scale", "bounds", "meaning"), _index(env))
-    print_table("Info", ("key", "meaning"), _info().items())
+    print_table("Info", ("key", "meaning"), _info(env).items())
     print_table(
         f"Costs, limit {env.config.cost_limit:g} an episode",
         ("cause", "weight", "unweighted"),

@@ -34,7 +34,7 @@ Assignments = Annotated[
 Budget = Annotated[float | None, typer.Option(min=0.0, metavar="HOURS", help="Start no part of the work after that.")]
 Cores = Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")]
 EnvId = Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")]
-Faults = Annotated[str | None, typer.Option(help="How often instruments fail: none, nominal or stress.")]
+Faults = Annotated[str | None, typer.Option(help="Instruments fail: none, nominal, stress or one (in each episode).")]
 Fps = Annotated[int | None, typer.Option(min=1, help="Pictures of the film in a second of the drive; 10 by default.")]
 Fresh = Annotated[bool, typer.Option("--fresh/--resume", help="Remove the results of an earlier run, or resume it.")]
 FullTables = Annotated[bool, typer.Option("--full", help="Print the tables of every cell, with intervals.")]

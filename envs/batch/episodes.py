@@ -29,7 +29,7 @@ from lanebound.envs.batch.records_kernel import CAR, EGO
 from lanebound.envs.batch.route_map import Reach, Routes
 from lanebound.envs.batch.sky_ahead_kernel import SkyAhead
 from lanebound.envs.config import EnvConfig
-from lanebound.envs.info import info_entries
+from lanebound.envs.info import info_entries, own_info
 from lanebound.envs.observation.index import Observed, Source, entries, sources_of
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError
@@ -81,7 +81,7 @@ class Episodes:
     path_of : (Q, L) row of the path from each lane, by ``ego["route"]``
     views : what observations are derived of
     frame : (N, E) float32, the newest observations
-    own_info : (N,) each, the newest numbers of ``info`` that plug-ins add, by name
+    own_info : (N,) each, the newest numbers of ``info`` that not all environments have, by name
     epoch_steps : simulation steps in an epoch; None with perfect positions and without sensing: there are no epochs
     """
 
@@ -102,7 +102,7 @@ class Episodes:
         self._sources = sources_of(self.index)
         self._extra = [(place, entry) for place, entry in enumerate(self.index) if callable(entry.source)]
         self._info_entries = info_entries()
-        self.own_info: dict[str, Array] = {entry.name: np.zeros(n) for entry in self._info_entries}
+        self.own_info: dict[str, Array] = {name: np.zeros(n) for name in own_info(config)}
         self.ego: Records = np.zeros(n, EGO)
         self.motions: Records = np.zeros((n, 0), MOTION) if navigation is None else navigation.motions
         self._sensed = config.navigation.source.uses_sensors

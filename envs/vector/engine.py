@@ -204,7 +204,7 @@ class Engine:
 
     @property
     def own_info(self) -> Mapping[str, NDArray[np.float64]]:
-        """(N,) each, the newest numbers of ``info`` that plug-ins add, by name."""
+        """(N,) each, the newest numbers of ``info`` that not all environments have, by name."""
         return self.episodes.own_info
 
     @property

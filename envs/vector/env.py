@@ -199,7 +199,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
     def _restart(
         self, rows: Rows, seeds: list[int | None], faults: Sequence[Sequence[Fault] | None] = ()
     ) -> None:  # fmt: skip
-        if any(faults):  # they may be refused when the episodes have begun
+        if any(given is not None for given in faults):  # they may be refused when the episodes have begun
             self._begun[rows] = self._all_begun = False
         self.engine.reset(rows, seeds, faults)
         self._history[rows] = self.engine.frame[rows, None]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.records_kernel import OUTCOME
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.info import info_entries
+from lanebound.envs.info import own_info
 from lanebound.envs.vector.engine import Engine, meta_codes
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records
@@ -106,7 +106,7 @@ class EngineProcesses:
     ----------
     outcome : (N,) OUTCOME of the last step
     frame : (N, E) newest observations
-    own_info : (N,) each, numbers of ``info`` that plug-ins add, by name
+    own_info : (N,) each, numbers of ``info`` that not all environments have, by name
     codes : (A,) code of each meta-action of the action space, none under continuous actions
 
     Raises
@@ -126,7 +126,7 @@ class EngineProcesses:
         initialize: Callable[[], object] | None = None,
     ) -> None:
         self.count, self.codes = count, meta_codes(single)
-        names, entries = [entry.name for entry in info_entries()], [entry.column for entry in single.observer.index]
+        names, entries = list(own_info(single.config)), [entry.column for entry in single.observer.index]
         sizes = count, len(entries), len(names)
         memory = SPAWN.RawArray("b", _Board.size(*sizes))
         self.outcome, own, self.frame, self._ready = _Board.of(memory, *sizes)

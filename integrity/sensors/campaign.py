@@ -1,9 +1,14 @@
-"""Random faults: how often each kind begins, how long it lasts and how large it is."""
+"""Random faults: how often each kind begins, how long it lasts and how large it is.
+
+A run has as many faults as their rates give (:func:`random_campaign`), or exactly one (:func:`single_fault`), with the
+weight and the probability by which means over such runs become means at the rates.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import ConfigDict, model_validator
@@ -17,7 +22,7 @@ from lanebound.integrity.sensors.faults import Fault
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["FaultPriors", "random_campaign"]
+__all__ = ["FaultPriors", "SingleFault", "random_campaign", "single_fault"]
 
 
 class FaultPriors(Config):
@@ -124,8 +129,7 @@ def random_campaign(
     InputError
         When ``duration_s`` is not positive.
     """
-    if not duration_s > 0.0:
-        raise InputError(f"duration_s must be positive, got {duration_s}: pass the length of the run in seconds")
+    _require_duration(duration_s)
     faults: list[Fault] = []
     for kind in fault_kinds():
         prior, targets = priors_per_h.of(kind), _targets(kind, sky)
@@ -134,3 +138,68 @@ def random_campaign(
         ):
             faults.extend(_draw(kind, prior, target, duration_s, generator) for _ in range(count))
     return tuple(sorted(faults, key=lambda f: f.start_s))
+
+
+class SingleFault(NamedTuple):
+    """The one random fault of a run, and what turns means over such runs into means at the rates of the priors.
+
+    With X of a run, ``E[X] = P0 E[X | no fault] + P1 E[weight X | one] + r``, where ``r`` is of runs with two faults or
+    more: between 0 and ``1 - P0 - P1`` for an X in [0, 1].
+
+    Attributes
+    ----------
+    fault : the fault
+    weight : probability of its kind, given exactly one fault, over that with which it was drawn [-]
+    probability : P1, of exactly one fault in the run [-]
+    none_probability : P0, of none [-]
+    """
+
+    fault: Fault
+    weight: float
+    probability: float
+    none_probability: float
+
+
+def single_fault(
+    priors_per_h: FaultPriors, duration_s: float, generator: np.random.Generator, sky: SkyView
+) -> SingleFault:
+    """Draw exactly one fault of the vehicles of a sky or of what they share: each kind that occurs is equally likely.
+
+    Importance sampling of a Poisson process: given one event, it is of kind k with the probability ``L_k / L`` and its
+    onset is uniform; so are its targets, which have equal rates. Here k is one of K kinds with ``1 / K``, thus ``weight
+    = K L_k / L``, ``P1 = L exp(-L)`` and ``P0 = exp(-L)``; L_k is the expected number of faults of the kind, L the sum.
+    Onset, target, length and size are those of :func:`random_campaign`: the fault may begin at any time of the run, and
+    none has begun before it.
+
+    Parameters
+    ----------
+    priors_per_h : rates by kind
+    duration_s : length of the run [s]
+    generator : stream "faults"
+    sky : satellites and number of vehicles, 1 for faults that strike a vehicle itself
+
+    Raises
+    ------
+    InputError
+        When ``duration_s`` is not positive, or no kind occurs.
+    """
+    _require_duration(duration_s)
+    expected, able = [], []
+    for kind in fault_kinds():
+        prior, targets = priors_per_h.of(kind), _targets(kind, sky)
+        # What a vehicle broadcasts does not change what it believes itself.
+        if not kind.broadcast and prior.per_h > 0.0 and targets:
+            able.append((kind, prior, targets))
+            expected.append(prior.per_h * duration_s / 3600.0 * len(targets))
+    if not able:
+        raise InputError("priors_per_h must let a kind occur that is no broadcast, got 0 for all: set its per_h")
+    k, total = int(generator.integers(len(able))), math.fsum(expected)
+    kind, prior, targets = able[k]
+    fault = _draw(kind, prior, targets[int(generator.integers(len(targets)))], duration_s, generator)
+    none = math.exp(-total)
+    return SingleFault(fault, len(able) * expected[k] / total, total * none, none)
+
+
+def _require_duration(duration_s: float) -> None:
+    if not duration_s > 0.0:
+        raise InputError(f"duration_s must be positive, got {duration_s}: pass the length of the run in seconds")

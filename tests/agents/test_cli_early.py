@@ -35,7 +35,7 @@ def test_the_static_table_is_that_of_the_environments_and_configurations() -> No
             {"sky": "urbn"},
             "sky must be one of open, suburban, urban, dense, plaza, or a file, got 'urbn': did you",
         ),
-        ({"faults": "stres"}, "faults must be one of none, nominal, stress, got 'stres': did you mean 'stress'"),
+        ({"faults": "stres"}, "faults must be one of none, nominal, stress, one, got 'stres': did you mean 'stress'"),
     ],
 )
 def test_names_that_cannot_exist_are_refused(names: dict[str, str], message: str) -> None:

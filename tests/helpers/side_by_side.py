@@ -186,7 +186,7 @@ def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv,
         "ends": ((out["terminated"] > 0.0, out["truncated"] > 0.0), (terminated, truncated)),
     }
     tally.mismatches += [f"{where} {name}: {a} {b}" for name, (a, b) in facts.items() if a != b]
-    infos = infos_of(results(e.ego["outcome"]), form_of(np.ones(engine.count, dtype=np.bool_)), {})
+    infos = infos_of(results(e.ego["outcome"]), form_of(np.ones(engine.count, dtype=np.bool_)), engine.own_info)
     _same_info(tally, where, single_info(infos, row), info)
 
 

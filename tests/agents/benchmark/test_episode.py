@@ -11,11 +11,12 @@ from gymnasium import spaces
 
 from lanebound.agents.benchmark.episode import run_episode
 from lanebound.agents.benchmark.metrics import metric_named
-from lanebound.agents.benchmark.outcome import Place, Task
+from lanebound.agents.benchmark.outcome import Outcome, Place, Task
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes import open_env
 from lanebound.agents.episodes.guard import AgentFailure, checked
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.sensors.fault_registry import fault_kinds
 
 GIVEN = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 2.0}
 DRAWING = ("random", "bad_agents:draws", "bad_agents:samples")
@@ -35,6 +36,16 @@ def test_a_sound_agent(env):
     assert outcome.cost_limit == env.config.cost_limit
     assert 0.0 < outcome.solve_ms_median <= outcome.solve_ms_p99
     assert outcome.lasting() == run_episode(env, lambda e: make_agent("nominal", e), TASK)[1].lasting()
+
+
+def test_an_outcome_tells_the_one_fault_of_its_episode():
+    struck = open_env("LaneKeeping", {"sky": "open", "layouts": 1, "faults": "one", "duration_s": 1.0})
+    _, outcome = run_episode(struck, lambda e: make_agent("nominal", e), TASK)
+    _, info = struck.reset(seed=TASK.seed)
+    assert outcome.fault_kind == fault_kinds()[int(info["fault_kind"])].name
+    for name in ("fault_onset_s", "fault_weight", "fault_probability", "no_fault_probability"):
+        assert getattr(outcome, name) == info[name]
+    assert Outcome.from_dict(outcome.to_dict()) == outcome
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,15 @@ from benchmarks import made_up_outcome, made_up_rows, made_up_suite
 
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, MANOEUVRE_S
-from lanebound.agents.benchmark.scoring import outcome_of, outcome_of_statistics
+from lanebound.agents.benchmark.scoring import fault_figures, outcome_of, outcome_of_statistics
 from lanebound.agents.learning.evaluation import JUDGED
 from lanebound.envs import make_config
 from lanebound.envs.costs import GROUPS
 from lanebound.envs.episode_totals import EpisodeTotals
+from lanebound.envs.info import FAULT_INFO
 from lanebound.envs.observation.config import ObservationConfig
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sensors.fault_registry import fault_kinds
 
 DT_S = 0.2
 
@@ -132,6 +134,18 @@ def test_errors_are_given_at_50_75_and_95_percent():
     found = outcome_of(rows(101, err_ct_m=[99.0, *errors.tolist()]), 30.0)
     assert (found.pe_ct_median_m, found.pe_ct_p75_m, found.pe_ct_p95_m) == pytest.approx((5.0, 7.5, 9.5))
     assert metric_named("pe_ct_p95").take(found) == pytest.approx(9.5)
+
+
+def test_an_alert_counts_as_one_after_a_fault_if_it_begins_after_the_onset():
+    place = [kind.name for kind in fault_kinds()].index("jamming")
+    info = dict.fromkeys(FAULT_INFO, 0.25) | {"fault_kind": float(place), "fault_onset_s": 0.5}
+    before = [True, True, True, True, False, True, False]
+    found = fault_figures(rows(6, alert=before), info)
+    assert (found["fault_kind"], found["fault_weight"], found["fault_onset_s"]) == ("jamming", 0.25, 0.5)
+    assert found["fault_alert_s"] == pytest.approx(5 * DT_S - 0.5)
+    assert fault_figures(rows(6, alert=[False] * 2 + [True] * 5), info)["fault_alert_s"] is None, "it was on before"
+    assert fault_figures(rows(6), info)["fault_alert_s"] is None
+    assert fault_figures(rows(6), {"alert": False}) == {}, "without faults: one"
 
 
 def test_departures_are_those_of_the_true_body():

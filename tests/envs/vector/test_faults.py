@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 
 from lanebound.envs.config import FaultLevel
 from lanebound.envs.core import DrivingEnv
+from lanebound.envs.info import FAULT_INFO
 from lanebound.envs.registration import make_config
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.env import VectorCarFollowing, VectorLaneKeeping
@@ -104,6 +106,67 @@ def test_random_faults_are_those_of_single_environments(
     assert pairs.tally.steps >= 40
     assert min(some) >= 1
     assert len(set(some)) > 3, "each episode has faults of its own"
+
+
+@pytest.mark.parametrize(("name", "config"), [("LaneKeeping", SMALL), ("CarFollowing", SMALL)])
+def test_one_fault_in_each_episode_is_that_of_single_environments(name: str, config: dict[str, Any]) -> None:
+    """Fault, weight and probabilities, to the bit, in first episodes and in prepared ones; each tells its own."""
+    pairs = Pairs(name, {**config, "faults": "one", "duration_s": 6.0}, 3, 5)
+    told = []
+    for rows in ([1], [0, 2], [1, 2], [0, 1, 2]):
+        navigation, own = _navigation(pairs.engine), pairs.engine.own_info
+        for row, single in enumerate(pairs.singles):
+            assert single.belief_loop is not None
+            ((fault,), info) = _navigation(single).faults.schedules[0].faults, single.belief_loop.info
+            assert navigation.faults.schedules[row].faults == (fault,)
+            assert fault.vehicle in (None, 0)
+            assert {key: values[row] for key, values in own.items()} == {key: info[key] for key in FAULT_INFO}
+            assert fault_kinds()[int(info["fault_kind"])].name == fault.kind
+            start_s = single.config.navigation.clock_start_s
+            assert fault.start_s == info["fault_onset_s"] + start_s
+            assert 0.0 <= info["fault_onset_s"] < 6.0
+            told.append(tuple(info[key] for key in FAULT_INFO))
+        pairs.step(3)
+        pairs.reset(np.array(rows), None)
+    require_equal(pairs.tally)
+    assert len({kind for kind, *_ in told}) > 2, "episodes have faults of several kinds"
+    assert all(0.9 < p0 + p1 < 1.0 and p1 < 0.1 < p0 for *_, p1, p0 in told)
+
+
+def test_one_fault_is_told_in_gymnasium_form_and_by_processes() -> None:
+    """At reset and in each step; the end of an episode tells the fault that it had, not that of the next."""
+    config = {**SMALL, "faults": "one", "duration_s": 0.6}
+    here = VectorLaneKeeping(3, config, AutoresetMode.SAME_STEP)
+    apart = VectorLaneKeeping(3, config, AutoresetMode.SAME_STEP, processes=2)
+    still = np.zeros((3, 2), dtype=np.float32)
+    try:
+        (_, first), (_, theirs) = here.reset(seed=1), apart.reset(seed=1)
+        for _ in range(3):
+            infos, told = here.step(still)[4], apart.step(still)[4]
+        for key in FAULT_INFO:
+            np.testing.assert_array_equal(first[key], theirs[key])
+            np.testing.assert_array_equal(infos["final_info"][key], first[key])
+            np.testing.assert_array_equal(told["final_info"][key], first[key])
+            np.testing.assert_array_equal(infos[key], told[key])
+        assert (infos["fault_onset_s"] != first["fault_onset_s"]).all()
+    finally:
+        apart.close()
+
+
+def test_one_fault_goes_with_no_given_faults_and_needs_a_navigator() -> None:
+    config = {**SMALL, "faults": "one"}
+    engine, single = VectorLaneKeeping(1, config), DrivingEnv(make_config("lanebound/LaneKeeping-v0", config))
+    for env in (engine, single):
+        for faults in ([], [{"kind": "spoofing", "magnitude_m": 3.0}]):
+            with pytest.raises(InputError, match=r"options\.faults must be left out with faults 'one', got \d: set "):
+                env.reset(seed=1, options={"faults": faults})
+            with pytest.raises(InputError, match="reset must come before"):
+                env.step(np.zeros((1, 2) if env is engine else 2, dtype=np.float32))
+    for source in ("perfect", "offset"):
+        with pytest.raises(
+            ConfigError, match=rf"navigation\.source must be 'navigator' with faults 'one', got '{source}'"
+        ):
+            make_config("lanebound/LaneKeeping-v0", {"faults": "one", "navigation": {"source": source}})
 
 
 def test_where_nothing_navigates_random_faults_do_nothing() -> None:
