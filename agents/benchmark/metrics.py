@@ -216,9 +216,10 @@ INTEGRITY = (
            "share of available steps after which the next one is available; 0 without any"),
     _share("manoeuvre_continuity", "manoeuvre continuity", "higher",
            f"probability that no alert comes within a manoeuvre of {MANOEUVRE_S:g} s that begins without one, over "
-           "manoeuvres that begin at any step (S3 II.A)"),
+           "manoeuvres that begin at any step and end before the episode; of alerts alone (S3 II.A)"),
     _plain("first_fix", "first fix", "s", "lower",
-           "time to the first position by satellites (RTK, code or a service); without one, the time of the episode",
+           "time from the start of the episode, after its navigation.warm_up_s, to the first position by satellites "
+           "(RTK, code or a service); without one, the time of the episode",
            "first_fix_s"),
     *(_mode(mode) for mode in Mode if not mode.is_service),
     _share("share_service", "service share", None,

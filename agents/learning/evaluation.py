@@ -66,7 +66,8 @@ def drive_all(experiment: ExperimentConfig, model: BaseAlgorithm, seeds: Sequenc
     its duration.
     """
     with closing(experiment.open()) as single:
-        dt_s, config, terms = single.dt_s, single.config, {"allotted_s": allotted_s(single)}
+        dt_s, terms = single.dt_s, {"allotted_s": allotted_s(single)}
+        config = single.config.replace(cost_limit=experiment.limit())
     env = for_judging(experiment, len(seeds))
     try:
         ends = [info for seed in seeds[:: env.num_envs] for info in _drive(env, model, seed)]

@@ -42,7 +42,7 @@ from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.learning.others import choose_others
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.episode_totals import EPISODE_KEY
-from lanebound.integrity.core.accel import serial
+from lanebound.integrity.core.accel import LOGGER, serial
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Checkpoint", "is_best", "load_model", "one_thread", "train", "write_card"]
@@ -97,6 +97,7 @@ def _of_others(experiment: ExperimentConfig) -> list[str]:
 
 PROGRESS, BEST, CARD = "progress.json", "best.zip", "best.md"
 LAST, REPLAY, IMITATION = "last.zip", "last-replay.pkl", "imitation.pt"
+POLICY_LEARNS = "policy_learns"  # attribute of models that have imitated
 NOT_FINITE = ("Expected parameter", "without overflow")
 """Parts of torch's messages about distributions with NaN parameters, and about overflow."""
 Judge = Callable[[ExperimentConfig, BaseAlgorithm], dict[str, float]]
@@ -169,13 +170,19 @@ def train(
             set_random_seed(episode_seeds(experiment, model.num_timesteps, "learning"))
         env.seed(episode_seeds(experiment, model.num_timesteps))  # stable-baselines3 has seeded it otherwise
         watch: list[BaseCallback] = [_Watch(stepped)]
-        if experiment.imitation is not None and experiment.imitation.critics_first and model.num_timesteps == 0:
+        waits = experiment.imitation is not None and experiment.imitation.critics_first
+        if waits and not getattr(model, POLICY_LEARNS, False):
             watch.append(_CriticsFirst())
         while model.num_timesteps < experiment.steps:
             chunk = min(experiment.checkpoint_steps, experiment.steps - model.num_timesteps)
             with _converging(model, out, "settings.learning_rate"):
                 model.learn(chunk, callback=watch, reset_num_timesteps=model.num_timesteps == 0, tb_log_name="run")
             on_checkpoint(_checkpoint(experiment, model, out, progress, judge))
+    if waits and not getattr(model, POLICY_LEARNS, False):
+        LOGGER.warning(
+            "lanebound: the policy is still that of the imitation, as not every environment has ended an episode: "
+            "raise steps, or set imitation.critics_first=false."
+        )
     return progress
 
 
@@ -361,7 +368,10 @@ class _Watch(BaseCallback):
 
 
 class _CriticsFirst(BaseCallback):
-    """Keeps the actor as it is, while critics learn, until each environment has ended an episode."""
+    """Keeps the actor as it is, while critics learn, until each environment has ended an episode.
+
+    A checkpoint holds whether they have; a training that is resumed before begins to wait anew.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -375,6 +385,7 @@ class _CriticsFirst(BaseCallback):
     def _on_rollout_end(self) -> None:
         policy: Any = self.model.policy
         learns = self._ended is not None and bool(self._ended.all())
+        setattr(self.model, POLICY_LEARNS, learns)
         for module in (policy.mlp_extractor.policy_net, policy.action_net):
             module.requires_grad_(learns)
         if hasattr(policy, "log_std"):

@@ -29,7 +29,7 @@ from lanebound.agents.studies.first_episodes import first_episodes
 from lanebound.envs import make_config
 from lanebound.envs.costs import CAUSES, GROUPS
 from lanebound.envs.vector.env import engines
-from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.config import Config, Field, deep_merge
 
 __all__ = ["SECTIONS", "CostLimitsConfig", "interval_of_quantile", "limit_by_rule", "tables", "tune_cost_limits"]
 
@@ -113,7 +113,7 @@ def tune_cost_limits(
 def _of_place(config: CostLimitsConfig, name: str, advance: Advance) -> dict[str, Any]:
     """Sums over each episode of the whole cost and of each group, and the limits by the rule."""
     env, sky = config.places[name]
-    changes = {**config.overrides, "sky": sky, "observation": {"form": "flat"}}
+    changes = deep_merge(config.overrides, {"sky": sky, "observation": {"form": "flat"}})
     with closing(open_env(full_id(env), changes)) as single:
         made, longest, count = single.config, allotted_s(single) / single.dt_s, config.seeds
     whole, by_cause = np.zeros(count), np.zeros((count, len(CAUSES)))

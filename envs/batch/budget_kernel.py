@@ -145,16 +145,18 @@ def permitted_mps(b, sc, car, seen, count, lanes, routes, rules):  # type: ignor
     """The largest speed at which what the levels sweep keeps to the limits: the limit of the lane without an alert.
 
     ``v PL <= c v_limit AL(v)`` on both axes, c = ``alert_speed_share`` and AL(v) the limits at that speed, of the
-    budget or fixed: c of the limit where a level equals its alert limit. It is ``alert_speed_least`` of the limit at
-    least, also without a level: a level that is lost between buildings does not come back for a car that stands there.
-    inf on a lane without a limit.
+    budget or fixed. It is c of the limit at most, also where levels are small: after a failed test they do not bound
+    the error. It is ``alert_speed_least`` of the limit at least, also without a level: a level that is lost between
+    buildings does not come back for a car that stands there. inf on a lane without a limit.
     """
     limit = lanes.table[b.lane].speed_limit_mps
     if limit <= 0.0:
         return math.inf
-    if b.alert == 0 or _keeps(b, limit, limit, sc, car, seen, count, lanes, routes, rules):
+    if b.alert == 0:
         return limit
-    low, high = 0.0, limit
+    low, high = 0.0, rules.costs.alert_speed_share * limit
+    if _keeps(b, high, limit, sc, car, seen, count, lanes, routes, rules):
+        return high
     for _ in range(HALVINGS):
         v = 0.5 * (low + high)
         if _keeps(b, v, limit, sc, car, seen, count, lanes, routes, rules):

@@ -254,7 +254,7 @@ def price(b, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  # type
     share = c.alert_speed_share * limit if limit > 0.0 else math.inf
     permitted = b.permitted_mps if rules.permits != 0 else share
     least = c.blocking_share * min(flow, rules.fastest_mps)
-    if b.alert != 0:  # who slows down as an alert demands is not blamed for it, who stands is
+    if b.alert != 0:  # the speed that an alert permits is fast enough, a slower one is not
         least = min(least, permitted)
     out.cost_collision = out.crashed_now
     out.cost_off_road = out.astray_now

@@ -98,7 +98,7 @@ SOON: dict[str, Any] = {
 
 
 @pytest.mark.parametrize(("env", "duration_s"), [("LaneKeeping", 4.0), ("Highway", 10.0)])  # continuous, discrete
-def test_critics_learn_first(tmp_path: Path, env: str, duration_s: float) -> None:
+def test_critics_learn_first(tmp_path: Path, caplog: pytest.LogCaptureFixture, env: str, duration_s: float) -> None:
     """The actor stays as it was until each environment has ended an episode, of 20 decisions, and learns then."""
     kept: list[dict[str, torch.Tensor]] = []
 
@@ -107,11 +107,14 @@ def test_critics_learn_first(tmp_path: Path, env: str, duration_s: float) -> Non
         return {"return": 0.0, "cost": 0.0}
 
     overrides = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": duration_s}
-    train(experiment(env=env, overrides=overrides, imitation=SMALL, **SOON), tmp_path, judge=judge)
+    config = experiment(env=env, overrides=overrides, imitation=SMALL, **SOON)
+    train(config.replace(steps=16), tmp_path, judge=judge)
+    assert "still that of the imitation" in caplog.text
+    train(config, tmp_path, judge=judge)  # it was stopped before, and waits anew
     changed = [
         {name for name in before if not torch.equal(before[name], after[name])} for before, after in pairwise(kept)
     ]
-    assert changed[0] == {name for name in kept[0] if "value" in name}
+    assert changed[0] == changed[1] == {name for name in kept[0] if "value" in name}
     assert changed[-1] == set(kept[0])
 
 

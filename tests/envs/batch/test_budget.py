@@ -159,15 +159,15 @@ def test_a_level_permits_the_speed_at_which_it_sweeps_what_the_limits_may() -> N
     assert permitted(pl_ct_m=5.0 * room, alert=0) == 10.0
     assert permitted(pl_ct_m=room, alert=1) == pytest.approx(10.0 * share, abs=0.02)
     assert permitted(pl_ct_m=2.0 * room) == pytest.approx(5.0 * share, abs=0.02)
-    assert permitted(pl_ct_m=0.4 * room) == 10.0
+    assert permitted(pl_ct_m=0.4 * room) == 10.0 * share  # an alert all the same
     assert permitted(pl_ct_m=math.inf) == pytest.approx(2.5)
     scene.rules["costs"]["alert_speed_least"] = 0.0
     assert permitted(pl_ct_m=math.inf) == 0.0
-    scene.follow(b, gap_m=20.0, speed_mps=0.0, level_m=2.0)
-    v = permitted(1, pl_ct_m=0.0, pl_at_m=3.0)
-    left = 18.0 - v * (CostConfig().response_s + POLICY_S) - v * v / (2.0 * CostConfig().brake_min_mps2)
-    assert v * 3.0 == pytest.approx(10.0 * share * left, abs=0.3)  # the limit along at that speed
-    assert permitted(1, pl_at_m=6.0) < v
+    scene.follow(b, gap_m=10.0, speed_mps=0.0, level_m=2.0)
+    v = permitted(1, pl_ct_m=0.0, pl_at_m=6.0)
+    left = 8.0 - v * (CostConfig().response_s + POLICY_S) - v * v / (2.0 * CostConfig().brake_min_mps2)
+    assert v * 6.0 == pytest.approx(10.0 * share * left, abs=0.3)  # the limit along at that speed
+    assert permitted(1, pl_at_m=12.0) < v < 10.0 * share
     scene.rules["budgets"], b["al_at_m"], b["al_ct_m"] = 0, 1.5, 1.0
     assert permitted(0, pl_at_m=3.0) == pytest.approx(5.0 * share, abs=0.02)
 
