@@ -89,6 +89,7 @@ class EngineVecEnv(VecEnv):
         known = (*NAMES, *own_info(self.envs.config))
         for key in keys:
             if key not in known:
+                self.envs.close()  # its processes as well
                 raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, known)}")
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
         if (threads := torch.get_num_threads()) > 1:

@@ -108,7 +108,6 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_context` | 0 | dt while the context monitor warns and the car changes lane or exceeds half the limit |
     | `cost_blocking` | 0 | `max(0, 1 - v cos(psi) / (0.7 v_flow)) dt`, at most dt: slower than others drive there |
 
-    - `cost_alert`: an alert permits half of the speed limit, without lane changes.
     - `cost_headway` is also computed from the true gap and speeds without PL; the larger value counts.
     - `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with rho = 0.5 s, a
       = 2, b_min = 4 and b_max = 6 m/s2.
@@ -120,14 +119,13 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
       that is nearer than `d_RSS` costs dt.
     - During a commanded lane change, and where lanes meet or fork, both lanes count. With `keep_lane=False` the whole
       road counts, and `cost_lane_integrity` is 0.
-    - An alert permits half the limit (`cost.alert_speed_share`). `cost.alert_speed: level` permits the largest speed v
-      with `v PL <= 0.5 v_limit AL(v)` on both axes: half the limit where a level equals its alert limit, and 0.25 of
-      the limit at least (`cost.alert_speed_least`). A step is judged by the speed that was observed before it
-      (`integrity.permitted_speed`).
+    - An alert permits half the limit (`cost.alert_speed_share`), without lane changes. `cost.alert_speed: level`
+      permits the largest speed v with `v PL <= 0.5 v_limit AL(v)` on both axes, from 0.25 (`cost.alert_speed_least`) to
+      0.5 of the limit. A step is judged by the speed that was observed before it (`integrity.permitted_speed`).
     - v_flow is the least of limit, fastest command, comfortable speed in a bend, speed of a vehicle less than 4 s
       ahead, and speed from which the car stops in comfort before its lane ends. Under an alert the permitted speed
       takes the place of `0.7 v_flow` if it is less. To stop is right, and `cost_blocking` 0, behind a vehicle that
-      stands and while another one crosses the next 30 m of the way within 7.1 s (HCM 2010).
+      stands and while another one crosses the next 30 m of the way within 7.1 s (HCM 2010). Without a weight it is 0.
     - `cost.standing_speed_mps` is the least v of `cost_lane` and `cost_lane_integrity` (0): a body beyond its lane may
       be struck at rest as well.
     - An episode that ends early by a crash or off the road exceeds every `cost_limit`, but can cost less than a

@@ -33,7 +33,7 @@ INFO: dict[str, str] = {
     "cost_alert": "time driven too fast or changing lane while an alert is older than the time to alert [s]",
     "cost_hmi": "time with hazardously misleading information [s]",
     "cost_context": "time driven too fast or changing lane under a warning of the context monitor [s]",
-    "cost_blocking": "time slower than a share of the flow where no stop is right, weighted by how much [s]",
+    "cost_blocking": "time slower than the flow where no stop is right, times what lacks; 0 if it weighs 0 [s]",
     "pl_at_m": "protection level along the track; inf without one [m]",
     "pl_ct_m": "protection level across the track; inf without one [m]",
     "al_at_m": "alert limit along the track [m]",

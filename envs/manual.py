@@ -103,8 +103,8 @@ roof and of what is beside it ([signals](results/signals.md#near-objects)).
 ## Faults
 
 `faults="nominal"` draws random faults at published rates (rare events), `"stress"` at rates so high that every kind is
-expected within about an hour of driving. `reset(options={"faults": [...]})` replaces them
-(all but those of `"one"`):
+expected within about an hour of driving, `"one"` [exactly one in each episode](#one-fault-in-each-episode).
+`reset(options={"faults": [...]})` replaces those of the first two:
 
 ```pycon
 >>> env = gymnasium.make("lanebound/LaneKeeping-v0", config={"sky": "open"})

@@ -9,7 +9,19 @@ from typing import Any, Literal, NamedTuple
 from lanebound.agents.episodes.guard import Failing
 from lanebound.agents.serialization import finite_or_none
 
-__all__ = ["LEVEL_MAX_M", "MANOEUVRE_S", "OK", "PARTS", "TTA_S", "WALL_CLOCK", "Outcome", "Place", "Status", "Task"]
+__all__ = [
+    "GROUP_COST",
+    "LEVEL_MAX_M",
+    "MANOEUVRE_S",
+    "OK",
+    "PARTS",
+    "TTA_S",
+    "WALL_CLOCK",
+    "Outcome",
+    "Place",
+    "Status",
+    "Task",
+]
 
 Status = Literal["ok"] | Failing
 OK: Status = "ok"
@@ -19,7 +31,9 @@ TTA_S = 1.0
 """Longest time allowed from the onset of a failure to its alert (S3 II.A); as ``alert.time_to_alert_s`` by default."""
 MANOEUVRE_S = 5.0
 """Length of the manoeuvres of which continuity is measured: a lane change in traffic takes 3 to 5 s; chosen."""
-PARTS = {"costs": "", "mode_shares": "share_", "cost_limits": "cost_limit_", "group_costs": "group_cost_"}
+GROUP_COST = "group_cost_"
+"""How the weighted costs of a group are named in tables and evaluations, before the name of the group."""
+PARTS = {"costs": "", "mode_shares": "share_", "cost_limits": "cost_limit_", "group_costs": GROUP_COST}
 """Attributes that are mappings, and how their keys begin in a row of a table."""
 WALL_CLOCK = ("solve_ms_median", "solve_ms_p99")
 

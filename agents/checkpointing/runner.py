@@ -44,7 +44,7 @@ class RunProgress:
     stage: str = ""
 
 
-KNOWN_SHARE = 0.003
+KNOWN_SHARE = 0.003  # of what is left at the first count; the pace of less says little
 OnProgress = Callable[[RunProgress], None]
 
 

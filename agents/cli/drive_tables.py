@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 __all__ = ["measures", "position_of", "print_report", "unused"]
 
 WEIGHTED = "cost, weighted"
-GROUP = "group_cost_"
 MEANT = (
     "Success: no crash, still on the road, fast enough; it does not depend on cost.\n"
     "Harm: 50 for a crash or an end off the road, and m2 of the body beyond its lane."
@@ -35,6 +34,7 @@ def print_report(
 ) -> None:
     """Print the tables, or JSON; ``position`` is of :func:`position_of`, ``limit`` that of the cost, ``services`` are
     those that the navigator names in addition to RTK."""
+    from lanebound.agents.benchmark.outcome import GROUP_COST
     from lanebound.agents.cli.output import print_json, print_table
 
     written = {what: str(path) for what, path in files.items() if path is not None}
@@ -59,7 +59,7 @@ def print_report(
         ]
         print_table("Errors and protection levels of the ego's position [m]", ("figure", *position), rows)
     over = "" if len(outcomes) == 1 else f", means over {len(outcomes)} episodes"
-    limits = {"cost": limit} | {GROUP + name: own for name, own in outcomes[0].cost_limits.items()}
+    limits = {"cost": limit} | {GROUP_COST + name: own for name, own in outcomes[0].cost_limits.items()}
     found = measures(outcomes, services).items()
     lines = ((*_label(key), _value(value, limits.get(key))) for key, value in found)
     print_table(f"Measures{over}", ("measure", "unit", "value"), lines)
@@ -120,6 +120,7 @@ def measures(outcomes: Sequence[Outcome], services: Sequence[str] = ()) -> dict[
     import numpy as np
 
     from lanebound.agents.benchmark.metrics import harm_of
+    from lanebound.agents.benchmark.outcome import GROUP_COST
     from lanebound.envs.costs import CAUSES
 
     steps, first = np.array([o.steps for o in outcomes], dtype=np.float64), outcomes[0]
@@ -139,7 +140,9 @@ def measures(outcomes: Sequence[Outcome], services: Sequence[str] = ()) -> dict[
         "harm": float(np.mean([harm_of(o) for o in outcomes])),
         "cost": mean("cost"),
         **{cause: float(np.mean([o.costs[cause] for o in outcomes])) for cause in CAUSES},
-        **{f"{GROUP}{name}": float(np.mean([o.group_costs[name] for o in outcomes])) for name in first.cost_limits},
+        **{
+            f"{GROUP_COST}{name}": float(np.mean([o.group_costs[name] for o in outcomes])) for name in first.cost_limits
+        },
         **{f"share of {mode}": of_steps([o.mode_shares.get(mode, 0.0) for o in outcomes]) for mode in modes},
         "availability": of_steps([o.availability for o in outcomes]),
         "alert share": of_steps([o.alert_share for o in outcomes]),
@@ -150,11 +153,12 @@ def measures(outcomes: Sequence[Outcome], services: Sequence[str] = ()) -> dict[
 
 def _label(measure: str) -> tuple[str, str]:
     """A measure and its unit: the cost and its groups are weighted sums, its causes are unweighted."""
+    from lanebound.agents.benchmark.outcome import GROUP_COST
     from lanebound.envs.info import INFO
 
     if measure == "cost":
         return WEIGHTED, ""
-    if measure.startswith(GROUP):
+    if measure.startswith(GROUP_COST):
         return f"{measure}, weighted", ""
     if measure.startswith("cost_"):
         _, bracket, unit = INFO[measure].rpartition("[")

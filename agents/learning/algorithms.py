@@ -85,7 +85,7 @@ def make_model(experiment: ExperimentConfig, env: VecEnv, logs: str | None) -> B
 def _made(experiment: ExperimentConfig, env: VecEnv, logs: str | None, settings: Mapping[str, Any]) -> BaseAlgorithm:
     ours: dict[str, Any] = {"seed": experiment.seed, "device": "cpu", "tensorboard_log": logs}
     if experiment.algorithm.constrained:
-        groups = group_limits(experiment.env_config())
+        groups = group_limits(experiment.env_config)
         ours |= {"cost_limit": experiment.limit(), "cost_limits": groups, "multiplier": experiment.multiplier}
     policy = "MlpLstmPolicy" if experiment.algorithm is Algorithm.RECURRENT_PPO else "MlpPolicy"
     found: BaseAlgorithm = class_of(experiment.algorithm)(policy, env, **{**ours, **settings})

@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.benchmark.metrics import metric_named
+from lanebound.agents.benchmark.outcome import GROUP_COST
 from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of_statistics
 from lanebound.agents.benchmark.suite import SPLITS, SuiteConfig, parse_agents
 from lanebound.agents.checkpointing.folder import ResultFolder
@@ -22,7 +23,7 @@ from lanebound.agents.drivers.foreign import load_checkpoint, require_foreign
 from lanebound.agents.drivers.origin import environment_in, experiment_in
 from lanebound.agents.episodes import open_env
 from lanebound.agents.learning.algorithms import CLASSES
-from lanebound.agents.learning.experiment import FLAT, GROUP_COST, ExperimentConfig, Shield
+from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
 from lanebound.agents.learning.opening import for_judging
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.costs import GROUPS
@@ -66,14 +67,14 @@ def drive_all(experiment: ExperimentConfig, model: BaseAlgorithm, seeds: Sequenc
     its duration.
     """
     with closing(experiment.open()) as single:
-        dt_s, terms = single.dt_s, {"allotted_s": allotted_s(single)}
-        config = single.config.replace(cost_limit=experiment.limit())
+        dt_s, longest_s = single.dt_s, allotted_s(single)
+    config = experiment.env_config.replace(cost_limit=experiment.limit())
     env = for_judging(experiment, len(seeds))
     try:
         ends = [info for seed in seeds[:: env.num_envs] for info in _drive(env, model, seed)]
     finally:
         env.close()
-    return [_row(info, dt_s, config, terms) for info in ends]
+    return [_row(info, dt_s, config, longest_s) for info in ends]
 
 
 def _drive(env: VecEnv, model: BaseAlgorithm, seed: int) -> list[Mapping[str, Any]]:
@@ -91,10 +92,11 @@ def _drive(env: VecEnv, model: BaseAlgorithm, seed: int) -> list[Mapping[str, An
     return [ends[e] for e in range(env.num_envs)]
 
 
-def _row(info: Mapping[str, Any], dt_s: float, config: EnvConfig, terms: Mapping[str, float]) -> dict[str, float]:
+def _row(info: Mapping[str, Any], dt_s: float, config: EnvConfig, allotted_s: float) -> dict[str, float]:
     """Metrics of an episode, from the info of its last step."""
     episode = info[EPISODE_KEY]
-    outcome = outcome_of_statistics(info, episode, UNNAMED, config, time_s=dt_s * episode["length"], **terms)
+    times = {"time_s": dt_s * episode["length"], "allotted_s": allotted_s}
+    outcome = outcome_of_statistics(info, episode, UNNAMED, config, **times)
     found = {key: metric_named(key).take(outcome) for key in JUDGED}
     known = {key: value for key, value in found.items() if value is not None}
     groups = {GROUP_COST + group: value for group, value in outcome.group_costs.items()}

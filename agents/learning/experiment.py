@@ -10,10 +10,12 @@ import re
 from collections.abc import Mapping
 from contextlib import closing
 from enum import StrEnum
+from functools import cached_property
 from typing import Any, Self
 
 from pydantic import ValidationInfo, field_validator, model_validator
 
+from lanebound.agents.benchmark.outcome import GROUP_COST
 from lanebound.agents.drivers import AGENTS, REMEMBERING, unknown_agent
 from lanebound.agents.drivers.rules import SafetyRules
 from lanebound.agents.episodes.opening import full_id, naming, open_env
@@ -27,7 +29,6 @@ from lanebound.integrity.core.errors import ConfigError
 __all__ = [
     "BOUNDS",
     "FLAT",
-    "GROUP_COST",
     "Algorithm",
     "ExperimentConfig",
     "ImitationConfig",
@@ -133,8 +134,6 @@ def require_settings(algorithm: str, settings: Mapping[str, Any]) -> None:
 
 
 FOLDER = "experiments/"
-GROUP_COST = "group_cost_"
-"""How the weighted costs of a group are named in evaluations, before the name of the group."""
 FLAT: dict[str, Any] = {"observation": {"form": "flat"}}
 
 
@@ -333,17 +332,16 @@ class ExperimentConfig(Config):
 
     def limit(self) -> float:
         """The cost limit of an episode: that of the experiment, or of the environment."""
-        if self.cost_limit is not None:
-            return self.cost_limit
-        return self.env_config().cost_limit
+        return self.env_config.cost_limit if self.cost_limit is None else self.cost_limit
 
     def limits(self) -> dict[str, float]:
         """Limits of the costs of an episode by their names in evaluations: ``cost``, ``group_cost_lane`` and so on."""
-        groups = self.env_config().cost_limits.given
+        groups = self.env_config.cost_limits.given
         return {"cost": self.limit()} | {GROUP_COST + group: limit for group, limit in groups.items()}
 
+    @cached_property
     def env_config(self) -> EnvConfig:
-        """The configuration of the environment."""
+        """The configuration of the environment, opened once for it."""
         with closing(self.open()) as env:
             return env.config
 

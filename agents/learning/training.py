@@ -173,12 +173,13 @@ def train(
         waits = experiment.imitation is not None and experiment.imitation.critics_first
         if waits and not getattr(model, POLICY_LEARNS, False):
             watch.append(_CriticsFirst())
+        learns = model.num_timesteps < experiment.steps
         while model.num_timesteps < experiment.steps:
             chunk = min(experiment.checkpoint_steps, experiment.steps - model.num_timesteps)
             with _converging(model, out, "settings.learning_rate"):
                 model.learn(chunk, callback=watch, reset_num_timesteps=model.num_timesteps == 0, tb_log_name="run")
             on_checkpoint(_checkpoint(experiment, model, out, progress, judge))
-    if waits and not getattr(model, POLICY_LEARNS, False):
+    if learns and waits and not getattr(model, POLICY_LEARNS, False):
         LOGGER.warning(
             "lanebound: the policy is still that of the imitation, as not every environment has ended an episode: "
             "raise steps, or set imitation.critics_first=false."

@@ -13,7 +13,8 @@ from lanebound.agents.benchmark.suite import SPLITS
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes.opening import full_id
 from lanebound.envs.batch.infos import as_ended
-from lanebound.envs.vector.env import VectorDrivingEnv, engines
+from lanebound.envs.ids import has_engine, preset_of
+from lanebound.envs.vector.env import VectorDrivingEnv, engine_class, engines
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Decision", "first_episodes"]
@@ -49,10 +50,10 @@ def first_episodes(env: str, config: Mapping[str, Any], driver: str, count: int)
     InputError
         The id has no engine, there is no such driver, or it cannot drive there; ConfigError for the configuration.
     """
-    name, known = full_id(env), engines()
-    if name not in known:
-        raise InputError(f"envs must be ids with an engine, got '{env}': choose among {', '.join(known)}")
-    kind = known[name]
+    preset = preset_of(full_id(env))
+    if preset is None or not has_engine(preset):
+        raise InputError(f"envs must be ids with an engine, got '{env}': choose among {', '.join(engines())}")
+    kind = engine_class(preset)
     with closing(kind(count, config, "SameStep")) as envs, closing(kind.KIND(config)) as single:
         agent: Any = make_agent(driver, single)
         observations, _ = envs.reset(seed=SPLITS["train"][0])

@@ -146,15 +146,16 @@ def permitted_mps(b, sc, car, seen, count, lanes, routes, rules):  # type: ignor
 
     ``v PL <= c v_limit AL(v)`` on both axes, c = ``alert_speed_share`` and AL(v) the limits at that speed, of the
     budget or fixed. It is c of the limit at most, also where levels are small: after a failed test they do not bound
-    the error. It is ``alert_speed_least`` of the limit at least, also without a level: a level that is lost between
-    buildings does not come back for a car that stands there. inf on a lane without a limit.
+    the error. It is ``alert_speed_least`` of the limit at least (or c, if that is less), also without a level: a level
+    that is lost between buildings does not come back for a car that stands there. inf on a lane without a limit.
     """
     limit = lanes.table[b.lane].speed_limit_mps
     if limit <= 0.0:
         return math.inf
     if b.alert == 0:
         return limit
-    low, high = 0.0, rules.costs.alert_speed_share * limit
+    c = rules.costs
+    low, high = min(c.alert_speed_least, c.alert_speed_share) * limit, c.alert_speed_share * limit
     if _keeps(b, high, limit, sc, car, seen, count, lanes, routes, rules):
         return high
     for _ in range(HALVINGS):
@@ -163,7 +164,7 @@ def permitted_mps(b, sc, car, seen, count, lanes, routes, rules):  # type: ignor
             low = v
         else:
             high = v
-    return max(low, rules.costs.alert_speed_least * limit)
+    return low
 
 
 @jit(borrows=True)

@@ -23,8 +23,8 @@ TRUTH; T2: time until the second one is where the first one is or just was (:mod
 v_least = ``blocking_share v_flow``, under an alert no more than the permitted speed. v_flow is the least of limit,
 fastest command, comfortable speed in a bend, speed of a vehicle less than 4 s ahead (also a wreck), and the speed from
 which the car stops in comfort before its lane ends. The cost is 0 while a vehicle is to be let pass whose course
-crosses (:func:`.conflict_kernel.must_give_way`). Cars that are much slower than the flow crash more often (Solomon,
-Accidents on main rural highways, 1964).
+crosses (:func:`.conflict_kernel.must_give_way`), and where its weight is 0. Cars that are much slower than the flow
+crash more often (Solomon, Accidents on main rural highways, 1964).
 
 Under an alert the permitted speed is a share of the limit, or it follows from the level as shown at the last decision
 (:func:`.budget_kernel.permitted_mps`).
@@ -265,7 +265,8 @@ def price(b, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  # type
     out.cost_alert = dt if late and (speed > permitted or sc.leaving_side >= 0) else 0.0
     out.cost_hmi = out.hmi_share * dt
     out.cost_context = dt if b.context_warning != 0 and (speed > share or sc.leaving_side >= 0) else 0.0
-    out.cost_blocking = _blocking(cars, lanes, along, least) * dt
+    # Only where it has a weight: to look who crosses takes a tenth of a step without sensing in Intersection.
+    out.cost_blocking = _blocking(cars, lanes, along, least) * dt if c.blocking > 0.0 else 0.0
     total = c.collision * out.cost_collision + c.off_road * out.cost_off_road + c.lane * out.cost_lane
     total += c.lane_integrity * out.cost_lane_integrity
     total += c.headway * out.cost_headway + c.conflict * out.cost_conflict

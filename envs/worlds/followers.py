@@ -30,7 +30,7 @@ __all__ = ["MOTORWAYS", "LateDriver", "TrafficConfig", "add_followers", "seat_fo
 MOTORWAYS = ("highway-v0", "highway-fast-v0")
 """Worlds that have room behind the ego; elsewhere it begins at the start of a road, or has followers already."""
 STREAM = "followers"
-TARGET_SHARE = 0.9, 1.0  # of the limit that followers want: no slower than the ego, so that they stay behind it
+TARGET_SHARE = 0.9, 1.0  # of the limit that followers want, chosen: they do not fall far behind the ego
 
 
 class TrafficConfig(Config):
@@ -43,7 +43,7 @@ class TrafficConfig(Config):
     reaction_s: float = Field(
         1.0, gt=0, le=5, description="time constant of their reactions; chosen, brake lights take 0.7 to 1.5 s"
     )
-    brake_mps2: float = Field(4.0, gt=0, le=6, description="their braking at most; what RSS is sure of")
+    brake_mps2: float = Field(4.0, gt=0, le=6, description="their braking at most; as cost.brake_min_mps2")
 
     @model_validator(mode="after")
     def _gaps_ascend(self) -> TrafficConfig:

@@ -7,7 +7,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from highway_env.vehicle.behavior import IDMVehicle
 
 from lanebound.envs import IDS, DrivingEnv, make_config
 from lanebound.envs.worlds.followers import LateDriver
@@ -105,4 +104,3 @@ def test_where_there_is_no_room_followers_are_refused(env_id: str) -> None:
 def test_gaps_that_make_no_sense_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"traffic\.gap_s must be two numbers from 0\.3 to 10"):
         make_config("lanebound/Highway-v0", {"traffic": {"gap_s": [2.0, 1.0]}})
-    assert issubclass(LateDriver, IDMVehicle)
