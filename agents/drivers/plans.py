@@ -75,7 +75,10 @@ def in_lane(reader: Reader, observation: Observation, side: int, within_s: float
     there = rows(LANES[side]) > 0.5
     if within_s > 0.0:
         sine, cosine = (reader.value(observation, f"ego.heading_{name}")[..., None] for name in ("sin", "cos"))
-        ahead, right = reader.value(observation, "ego.speed")[..., None] + rows("velocity_ahead"), rows("velocity_right")
+        ahead, right = (
+            reader.value(observation, "ego.speed")[..., None] + rows("velocity_ahead"),
+            rows("velocity_right"),
+        )
         along, across = cosine * ahead - sine * right, sine * ahead + cosine * right
         width = reader.value(observation, "ego.lane_width")[..., None]
         off = rows("lane_offset") + within_s * across - side * width

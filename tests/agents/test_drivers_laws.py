@@ -102,8 +102,8 @@ def road(reader: Reader, *cars: tuple[str, float, float], **values: float) -> np
     """The ego at 10 m/s on a long road with lanes on both sides; cars by lane, signed gap and relative speed."""
     shown = {"ego__speed": 10.0, "ego__left_exists": 1.0, "ego__right_exists": 1.0, "ego__lane_width": 4.0}
     shown |= {"road__junction": 150.0, "road__lane_end": 150.0}
-    for k, (lane, gap, closing) in enumerate(cars):
-        row = {"present": 1.0, f"{lane}_lane": 1.0, "lane_gap": gap, "velocity_ahead": closing, "length": EGO_LENGTH_M}
+    for k, (lane, gap, faster) in enumerate(cars):
+        row = {"present": 1.0, f"{lane}_lane": 1.0, "lane_gap": gap, "velocity_ahead": faster, "length": EGO_LENGTH_M}
         shown |= {f"traffic__v{k}_{name}": value for name, value in row.items()}
     return observation(reader, **(shown | values))
 
