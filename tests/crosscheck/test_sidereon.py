@@ -7,7 +7,7 @@ import pytest
 from navigation_texts import GPS_RECORD, HEADER
 from plain_araim import araim
 
-from lanebound.agents.bench._sidereon import Araim
+from lanebound.agents.bench.positioning import Araim
 from lanebound.integrity.monitoring.araim import AraimConfig
 from lanebound.integrity.positioning.ambiguity import integer_least_squares
 from lanebound.integrity.positioning.least_squares import design_matrix

@@ -217,13 +217,15 @@ def toy_bench(tmp_path, monkeypatch):
     package = tmp_path / "toy_cli_bench"
     package.mkdir()
     (package / "__init__.py").touch()
-    row = "from lanebound.agents.bench.rows import Row\ndef measure(rounds=5):\n    return [Row({}, {}, 'x', {})]\n"
-    (package / "quick.py").write_text(row.format("'quick_ratio'", "12.0 * rounds", "10.0"), encoding="utf-8")
-    (package / "bare.py").write_text(row.format("'bare_ratio'", "1.0", "None"), encoding="utf-8")
-    (package / "bad.py").write_text("def measure(rounds=5):\n    raise RuntimeError('no [b]luck[/b]')\n", "utf-8")
+    head = "from lanebound.agents.bench.runner import Row\n"
+    row = head + "def measure_{}(rounds=5):\n    return [Row({}, {}, 'x', {})]\n"
+    (package / "quick.py").write_text(row.format("quick", "'quick_ratio'", "12.0 * rounds", "10.0"), encoding="utf-8")
+    (package / "bare.py").write_text(row.format("bare", "'bare_ratio'", "1.0", "None"), encoding="utf-8")
+    (package / "bad.py").write_text("def measure_bad(rounds=5):\n    raise RuntimeError('no [b]luck[/b]')\n", "utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "toy_cli_bench", raising=False)
     monkeypatch.setattr(runner, "BENCH_PACKAGE", "toy_cli_bench")
+    monkeypatch.setattr(runner, "BENCHES", {name: name for name in ("bad", "bare", "quick")})
     monkeypatch.chdir(tmp_path)
     yield tmp_path
     for name in [name for name in sys.modules if name.startswith("toy_cli_bench")]:
