@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable
 from contextlib import nullcontext
 from importlib import import_module
@@ -13,10 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import ndtr
 
-from lanebound.agents.bench.runner import Row, alternate, median_ratio
+from lanebound.agents.bench.runner import Row, alternate, median_ratio, plain_form
 from lanebound.integrity.core.accel import serial
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.araim import AraimConfig, levels_at
@@ -27,7 +24,7 @@ from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.positioning import lambda_kernel as kernel
-from lanebound.integrity.positioning.ambiguity import NODE_LIMIT, integer_least_squares
+from lanebound.integrity.positioning.ambiguity import NODE_LIMIT
 
 Array = NDArray[np.float64]
 
@@ -67,29 +64,37 @@ def drifting_problems(seed: int = 3) -> tuple[Array, Array]:
 
 
 def measure_ambiguity(rounds: int = 5) -> list[Row]:
-    """Warm compiled fix against the plain one, both returning the two best candidates; checked for equality first."""
+    """Warm compiled fix of 20 integers against the plain one, both returning the two best candidates; compared first.
+
+    The plain form is that of a checkout; without one its row is left out.
+    """
     a, Q = drifting_problems()
     candidates, norms = np.empty((EPOCHS, 2, a.shape[-1])), np.empty((EPOCHS, 2))
     failure_rate, status = np.empty(EPOCHS), np.empty(EPOCHS, dtype=np.int64)
+    plain, turn = plain_form("plain_ambiguity"), itertools.cycle(range(EPOCHS))
 
     def run(reuse: bool) -> int:
         kernel.solve_epochs(a, Q, NODE_LIMIT, reuse, candidates, norms, failure_rate, status)
         return EPOCHS
 
-    plain_epochs = itertools.cycle(range(EPOCHS))
-
-    def plain() -> int:
-        e = next(plain_epochs)
-        integer_least_squares(a[e], Q[e])
+    def slow() -> int:
+        e = next(turn)
+        plain.integer_least_squares(a[e], Q[e])
         return 1
 
     run(True)
-    checked = integer_least_squares(a[:5], Q[:5])
-    if status.any() or not np.array_equal(checked.candidates, candidates[:5]):
-        raise AssertionError("compiled and plain integer least squares disagree")
-    rates = alternate({"warm": lambda: run(True), "cold": lambda: run(False), "plain": plain}, rounds)
+    sides = {"warm": lambda: run(True), "cold": lambda: run(False)}
+    if plain is not None:
+        checked = plain.integer_least_squares(a[:5], Q[:5])
+        if status.any() or not np.array_equal(checked.candidates, candidates[:5]):
+            raise AssertionError("compiled and plain integer least squares disagree")
+        sides["plain"] = slow
+    rates = alternate(sides, rounds)
+    rows = [] if plain is None else [
+        Row("lambda_n20_vs_python", median_ratio(rates, "warm", "plain"), "x", gate=500, stretch=1000)
+    ]  # fmt: skip
     return [
-        Row("lambda_n20_vs_python", median_ratio(rates, "warm", "plain"), "x", gate=500, stretch=1000),
+        *rows,
         Row("lambda_n20_us", 1e6 / median(rates["warm"]), "us", higher_is_better=False),
         Row("lambda_n20_cold_us", 1e6 / median(rates["cold"]), "us", higher_is_better=False),
     ]
@@ -122,74 +127,44 @@ class Sky:
         """Levels of all epochs by the kernels.  (E, 2) [m]."""
         with nullcontext() if parallel else serial():
             levels = protection_levels_batch(
-                self.los,
-                True,
-                self.group,
-                self.variance,
-                self.heading,
-                RISK,
-                accuracy_m2=self.accuracy,
+                self.los, True, self.group, self.variance, self.heading, RISK, accuracy_m2=self.accuracy,
                 bias_m=self.bias,
-            )
+            )  # fmt: skip
         return levels.root_m[:, 0]
 
-    def naive(self) -> Array:
-        """The same levels, one epoch, one mode and one axis at a time.  (E, 2) [m]."""
-        return np.array([self._naive_epoch(e) for e in range(len(self.heading))])
-
-    def _naive_epoch(self, e: int) -> list[float]:
-        clock = np.eye(LEVEL_SYSTEMS)[self.group[e]]
-        g = np.hstack([-self.los[e], clock])
-        s, c = math.sin(self.heading[e]), math.cos(self.heading[e])
-        turn = np.zeros((2, g.shape[1]))
-        turn[:, :2] = [[s, c], [c, -s]]
-        weight = np.diag(1.0 / self.variance[e])
-        full = turn @ np.linalg.inv(g.T @ weight @ g) @ g.T @ weight
-        columns = [self._naive_mode(e, full, full)]
-        for k in range(LEVEL_SATELLITES):
-            left = weight.copy()
-            left[k, k] = 0.0
-            columns.append(self._naive_mode(e, turn @ np.linalg.inv(g.T @ left @ g) @ g.T @ left, full))
-        sigma, delta, bias = (np.array(part) for part in zip(*columns, strict=True))
-        offset = RISK.false_alarm_factors(LEVEL_SATELLITES)[LEVEL_SATELLITES] * delta + bias
-        priors = np.full(LEVEL_SATELLITES + 1, RISK.satellite_prior[0])
-        pairs = 0.5 * (priors[1:].sum() ** 2 - (priors[1:] ** 2).sum())
-        priors[0] = 2.0
-        budget = 0.5 * (RISK.integrity_risk - pairs)
-        return [self._naive_root(priors, offset[:, q], sigma[:, q], budget) for q in range(2)]
-
-    def _naive_mode(self, e: int, rows: Array, full: Array) -> tuple[Array, Array, Array]:
-        sigma = np.sqrt(np.diag(rows @ np.diag(self.variance[e]) @ rows.T))
-        apart = rows - full
-        delta = np.sqrt(np.maximum(np.diag(apart @ np.diag(self.accuracy[e]) @ apart.T), 0.0))
-        return sigma, delta, np.abs(rows) @ self.bias[e]
-
-    @staticmethod
-    def _naive_root(priors: Array, offset: Array, sigma: Array, budget: float) -> float:
-        def excess(x: float) -> float:
-            return float((priors * ndtr((offset - x) / sigma)).sum() - budget)
-
-        return float(brentq(excess, 0.0, 1e4, xtol=1e-9, rtol=1e-12))
+    def by(self, plain: Any) -> Array:
+        """The same levels by a plain form of an epoch.  (E, 2) [m]."""
+        rows = zip(self.los, self.group, self.variance, self.accuracy, self.bias, self.heading, strict=True)
+        return np.array([plain.plain_levels(*row, RISK) for row in rows])
 
 
 def measure_protection(rounds: int = 5) -> list[Row]:
-    """Ratio on all threads and rate on all threads and on one; both sides are compared first."""
-    small, large = Sky(SLOW_EPOCHS, 1), Sky(FAST_EPOCHS, 2)
-    worst = float(np.abs(small.kernel(False) / small.naive() - 1.0).max())
-    if not worst < 1e-8:
-        raise InputError(f"the kernel must equal the plain form to 1e-8, it differs by {worst}: fix it before timing")
+    """Rate of protection levels on all threads and on one, and ratio to a plain form, which is compared first.
+
+    The plain form is that of a checkout; without one its row is left out.
+    """
+    small, large, plain = Sky(SLOW_EPOCHS, 1), Sky(FAST_EPOCHS, 2), plain_form("plain_protection")
 
     def fast(parallel: bool) -> int:
         large.kernel(parallel)
         return FAST_EPOCHS
 
     def slow() -> int:
-        small.naive()
+        small.by(plain)
         return SLOW_EPOCHS
 
-    rates = alternate({"threads": lambda: fast(True), "one": lambda: fast(False), "naive": slow}, rounds)
+    sides = {"threads": lambda: fast(True), "one": lambda: fast(False)}
+    if plain is not None:
+        worst = float(np.abs(small.kernel(False) / small.by(plain) - 1.0).max())
+        if not worst < 1e-8:
+            raise InputError(f"the kernel must equal the plain form to 1e-8, it differs by {worst}: fix it first")
+        sides["naive"] = slow
+    rates = alternate(sides, rounds)
+    rows = [] if plain is None else [
+        Row("pl_kernel_n30_vs_naive", median_ratio(rates, "threads", "naive"), "x", gate=800.0, stretch=3000.0)
+    ]  # fmt: skip
     return [
-        Row("pl_kernel_n30_vs_naive", median_ratio(rates, "threads", "naive"), "x", gate=800.0, stretch=3000.0),
+        *rows,
         Row("pl_kernel_n30_epochs_per_s", float(np.median(rates["threads"])), "1/s", stretch=3.0e6),
         Row("pl_kernel_n30_epochs_per_s_one_core", float(np.median(rates["one"])), "1/s"),
     ]

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import os
 import statistics
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +79,14 @@ def _rate(name: str, work: Callable[[], int], seconds: float) -> float:
 def median_ratio(rates: dict[str, list[float]], fast: str, slow: str) -> float:
     """Median over rounds of the ratio of two sides."""
     return statistics.median(a / b for a, b in zip(rates[fast], rates[slow], strict=True))
+
+
+def plain_form(module: str) -> Any:
+    """A module of plain forms, in ``tests/reference`` of the checkout that this package lies in; None without one."""
+    folder = Path(__file__).resolve().parents[2] / "tests" / "reference"
+    if folder.is_dir() and str(folder) not in sys.path:
+        sys.path.append(str(folder))
+    return import_module(module) if find_spec(module) is not None else None
 
 
 BENCH_PACKAGE = "lanebound.agents.bench"

@@ -8,11 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-__all__ = [
-    "AsJson", "Assignments", "Budget", "Cores", "EnvId", "Faults", "Fps", "Fresh", "FullTables", "Jobs", "Plugins",
-    "Seed", "Sky", "Video", "changes", "film_rate", "require_one_source",
-]  # fmt: skip
-
 DEFAULT_FPS = 10
 OPTION_OF = {"risks": "--risk"}
 """Options whose names differ from the keys that they set."""

@@ -38,7 +38,6 @@ from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.statistics import estimate, holm, student_ends, student_p, within
 from lanebound.agents.benchmark.suite import SPLITS, SuiteConfig
 from lanebound.agents.benchmark.work import run
-from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.agents.episodes.opening import full_id
@@ -49,35 +48,9 @@ from lanebound.agents.learning.opening import for_learning
 from lanebound.agents.learning.training import load_model, one_thread, train
 from lanebound.agents.presets import load_named
 from lanebound.agents.serialization import finite_or_none
+from lanebound.agents.studies.study import Shown, stored
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError
-
-__all__ = [
-    "BESIDE",
-    "PRIMARY",
-    "SHOWN",
-    "ArmConfig",
-    "Course",
-    "LearningStudyConfig",
-    "Pace",
-    "Training",
-    "adjust",
-    "beside_suite",
-    "higher",
-    "judged",
-    "kept_oftener",
-    "load_study",
-    "means_of",
-    "measured",
-    "plan",
-    "run_learning_study",
-    "spread",
-    "study_folder",
-    "study_hours",
-    "summarise",
-    "tested",
-]
-
 
 LEARNING_S = 2e-4  # of the networks of PPO, a decision; measured
 MOMENT_S = 2.0
@@ -562,8 +535,36 @@ def _written(
         "kept": kept_oftener(list(done.values()), study.against),
     }
     adjust(found["places"], found["kept"], study.families)
-    found = finite_or_none(found)
-    write_json(out / "results.json", found)
     if done:
         save(curves_figure(list(done.values()), list(study.arms)), out / "curves.svg")
-    return dict(found)
+    return stored(finite_or_none(found), out)
+
+
+def shown(found: Mapping[str, Any]) -> Iterator[Shown]:
+    """Means and differences in each place, trainings within the limit, and what is missing."""
+    for place in found["places"]:
+        rows = [
+            (arm, str(len(of["seeds"])), str(of["kept"]), *(spread(of["means"][key]) for key in SHOWN))
+            for arm, of in place["arms"].items()
+        ]
+        rows += [
+            (agent, "", "", *(f"{means[key]:.3g}" if key in means else "" for key in SHOWN))
+            for agent, means in place["beside"].items()
+        ]
+        heads = ("arm", "trained", "kept limit", *(key.replace("_", " ") for key in SHOWN))
+        yield f"{place['env']}, {place['sky']}: means over trainings, 95 %", (heads, rows)
+        differences = [
+            (f"{arm} - {other}", *(tested(less[key]) for key in PRIMARY))
+            for arm, of in place["arms"].items()
+            for other, less in of["less"].items()
+        ]
+        yield "differences, 95 %, p by Holm's method over all places", (("arms", *PRIMARY), differences)
+    kept = [
+        (f"{row['arm']}, {row['other']}", f"{row['first']}, {row['second']} of {row['n']}", f"{row['p_holm']:.2g}")
+        for row in found["kept"]
+        if row["n"]
+    ]
+    yield "trainings within the cost limit, in all places", (("arms", "kept", "p by Holm's method"), kept)
+    done, planned = found["trainings"]["done"], found["trainings"]["planned"]
+    if done < planned:
+        yield f"{done} of {planned} trainings are done: run the same command again to resume"

@@ -34,17 +34,6 @@ from lanebound.integrity.assessment.plotting import INK, new_figure, tidy
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "curves_figure",
-    "differences",
-    "markdown",
-    "overview",
-    "packed",
-    "summed_up",
-    "unpacked",
-    "write_page",
-]
-
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#9A9A9A", "#000000")  # Okabe and Ito 2008
 ENDS = ("collision", "off_road")
 ROWS = (("return", "return"), ("cost", "cost"))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.frames import enu_axes
 from lanebound.integrity.core.packed import CRINEX_REMEDY
 from lanebound.integrity.recorded.source import finite_number, whole_number
 
@@ -54,8 +54,7 @@ class Header:
         if self.position_ecef_m is None:
             return None
         marker = np.array(self.position_ecef_m)
-        latitude, longitude, _ = geodetic_from_ecef(marker)
-        return np.asarray(marker + ecef_from_enu_matrix(latitude, longitude) @ np.array(self.antenna_delta_enu_m))
+        return np.asarray(marker + enu_axes(marker) @ np.array(self.antenna_delta_enu_m))
 
 
 @dataclass

@@ -43,23 +43,12 @@ from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import path_headings, recorded_epochs
 from lanebound.integrity.replay.outages import averaged
 from lanebound.integrity.replay.reckoning import reckon
-from lanebound.integrity.replay.recording_checks import aligned_comma, check_smartloc
+from lanebound.integrity.replay.sensor_checks import aligned_comma, check_smartloc
 from lanebound.integrity.sensors.gnss import GnssEpoch
 from lanebound.integrity.sensors.imu import ImuSample
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sensors.odometer import OdometerSample
 from lanebound.integrity.sky.view import SkyView
-
-__all__ = [
-    "FilterDrive",
-    "FilterReplayConfig",
-    "SensorDrive",
-    "comma_sensors",
-    "drive_filter",
-    "filter_summary",
-    "smartloc_sensors",
-    "write_filter",
-]
 
 Bools = NDArray[np.bool_]
 WIDEST_RAD = np.deg2rad(10.0)  # deviation of a path's heading that begins a filter

@@ -22,17 +22,6 @@ from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 
-__all__ = [
-    "BAND_MHZ",
-    "COLUMNS",
-    "LETTERS",
-    "USUAL_CN0_DBHZ",
-    "Choice",
-    "choose_signals",
-    "comparable_cn0",
-    "strength_dbhz",
-]
-
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Strengths = dict[str, dict[str, Array]]

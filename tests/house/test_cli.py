@@ -13,7 +13,7 @@ import typer
 from typer.testing import CliRunner
 
 from lanebound.agents.bench import runner
-from lanebound.agents.cli import app, kinds
+from lanebound.agents.cli import app, listing
 from lanebound.agents.cli.advice import explain
 from lanebound.agents.cli.output import format_value
 from lanebound.integrity.core import presets
@@ -40,7 +40,7 @@ def toy_presets(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "toy_cli_presets", raising=False)
     monkeypatch.setattr(presets, "PRESET_PACKAGE", "toy_cli_presets")
-    monkeypatch.setitem(kinds.KINDS, "toy", f"{__name__}:Toy")
+    monkeypatch.setitem(listing.KINDS, "toy", f"{__name__}:Toy")
 
 
 def run(*arguments: str):
@@ -197,7 +197,7 @@ NEEDED = {
 }  # all other kinds have a default for everything
 
 
-@pytest.mark.parametrize("kind", sorted(kinds.KINDS))
+@pytest.mark.parametrize("kind", sorted(listing.KINDS))
 def test_every_kind_names_a_configuration(kind, tmp_path, monkeypatch):
     package = tmp_path / f"kind_presets_{kind}"
     package.mkdir()
@@ -206,7 +206,7 @@ def test_every_kind_names_a_configuration(kind, tmp_path, monkeypatch):
     (package / "plain.yaml").write_text(text if "kind:" in text else f"kind: {kind}\n{text}", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(presets, "PRESET_PACKAGE", package.name)
-    found, config = kinds.resolve("plain")
+    found, config = listing.resolve("plain")
     assert found == kind
     assert isinstance(config, Config)
 

@@ -15,7 +15,7 @@ from lanebound.integrity.recorded.comma import Comma, ReceiverFixes, Reference, 
 from lanebound.integrity.recorded.series import in_order
 from lanebound.integrity.recorded.smartloc import GroundTruth, Odometry, SmartLoc, read_smartloc
 from lanebound.integrity.replay.outages import OutageConfig, motion_of, run_outages, write_outages
-from lanebound.integrity.replay.recording_checks import aligned_comma, check_comma, check_smartloc
+from lanebound.integrity.replay.sensor_checks import aligned_comma, check_comma, check_smartloc
 
 HOME = ecef_from_geodetic(np.radians(52.5), np.radians(13.37), 80.0)
 AXES = ecef_from_enu_matrix(np.radians(52.5), np.radians(13.37))

@@ -1,4 +1,4 @@
-"""``lanebound train``, ``evaluate`` and ``export``: train policies, evaluate them, write them as networks."""
+"""``lanebound train``, ``evaluate``, ``export``, ``study``, ``curves`` and ``tune``: what is learnt and fitted."""
 
 from __future__ import annotations
 
@@ -8,17 +8,32 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lanebound.agents.cli.advice import AdvisingGroup
 from lanebound.agents.cli.options import (
     AsJson,
     Assignments,
+    Budget,
     Cores,
+    EnvId,
     Fresh,
     FullTables,
+    Jobs,
     Plugins,
     changes,
     require_one_source,
 )
-from lanebound.agents.cli.output import counted
+from lanebound.agents.cli.output import (
+    carry_out,
+    kept_text,
+    print_json,
+    resumable,
+    show,
+    show_study,
+    wait_for,
+    with_bar,
+)
+from lanebound.agents.cli.static import known_skies
+from lanebound.agents.serialization import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,8 +42,7 @@ if TYPE_CHECKING:
     from lanebound.agents.checkpointing.runner import OnProgress
     from lanebound.agents.learning.experiment import ExperimentConfig
     from lanebound.agents.learning.training import Checkpoint
-
-__all__ = ["evaluate", "export", "train"]
+    from lanebound.agents.studies.learning import Course, LearningStudyConfig
 
 
 def train(
@@ -62,14 +76,12 @@ def train(
 
     Example: lanebound train lane_keeping_ppo_lagrangian --out out/learnt --set steps=100000
     """
-    from lanebound.agents.cli.early import refuse_preset
-    from lanebound.agents.cli.keys import refuse_keys
+    from lanebound.agents.cli.static import refuse_keys, refuse_preset
 
     given = changes(assignments, others=others)
     if not _plugins:
         refuse_keys("experiment", given)
     refuse_preset("experiment", "experiments/", name)
-    from lanebound.agents.cli.progress import resumable, with_bar
     from lanebound.agents.learning.experiment import load_experiment
     from lanebound.agents.learning.imitation import teacher_of
     from lanebound.agents.learning.others import choose_others
@@ -179,7 +191,6 @@ def export(
 
     Example: lanebound export out/learnt --out out/learnt.onnx
     """
-    from lanebound.agents.cli.progress import resumable, wait_for
     from lanebound.agents.learning.export import export_arrays, export_onnx
     from lanebound.integrity.core.errors import InputError
 
@@ -198,3 +209,165 @@ def _changes(sky: str | None, assignments: list[str] | None) -> dict[str, Any]:
     if sky is not None:
         require_one_source(overrides, "sky", "--sky")
     return ({"overrides": overrides} if overrides else {}) | ({} if sky is None else {"sky": sky})
+
+
+def study(
+    name: Annotated[str, typer.Argument(metavar="STUDY", help="One of ours (value_of_integrity), or a YAML file.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the trainings and results; a run is resumed.")],
+    jobs: Jobs = 1,
+    budget: Budget = None,
+    assignments: Assignments = None,
+    _plugins: Plugins = None,
+    as_json: AsJson = False,
+) -> None:
+    """Train every arm of a study in every place with several seeds, and compare them on held-out seeds.
+
+    Example: lanebound study value_of_integrity --out out/study --jobs 2 --budget 8
+    """
+    from lanebound.agents.cli.static import refuse_preset
+
+    refuse_preset("study", "studies/", name, "learning_study")
+    from lanebound.agents.studies.learning import (
+        load_study,
+        plan,
+        run_learning_study,
+        shown,
+        study_folder,
+        study_hours,
+    )
+
+    with resumable(lambda: f"trainings and checkpoints are kept in {out}; run the same command again to resume"):
+        chosen = load_study(name, changes(assignments))
+        study_folder(chosen, out).check()
+        typer.echo(f"measuring the speed of {counted(len(chosen.envs), 'environment')}", err=True)
+        course = plan(chosen)
+        _announce(chosen, course, study_hours(chosen, course) / jobs, jobs, budget)
+        found = with_bar("trainings", lambda on_progress: run_learning_study(chosen, out, jobs, budget, on_progress))
+    curves = ", curves.svg" if found["trainings"]["done"] else ""
+    show(found, shown(found), as_json, f"results.json{curves}: {out}")
+
+
+def _announce(chosen: LearningStudyConfig, course: Course, hours: float, jobs: int, budget: float | None) -> None:
+    for env, arm in course.left_out:
+        typer.echo(f"left out: {arm} in {env} (its filter needs actions that steer and accelerate)", err=True)
+    for hypothesis in chosen.hypotheses:
+        typer.echo(f"expected: {hypothesis}", err=True)
+    may = "" if budget is None else f", of which {budget:g} h may be used"
+    typer.echo(
+        f"{counted(len(course.trainings), 'training')}, {jobs} at a time, and their policies on "
+        f"{chosen.test_seeds} held-out seeds each: about {hours:.2g} h from nothing{may}.",
+        err=True,
+    )
+
+
+def curves(
+    out: Annotated[Path, typer.Option(help="Folder of the trainings and results; a run is resumed there.")],
+    env: Annotated[
+        list[str] | None,
+        typer.Option("--env", metavar="ID", help="This id alone; may be repeated. All eight otherwise."),
+    ] = None,
+    minutes: Annotated[float | None, typer.Option(min=0.01, help="Of a core for learning in each id; 6.")] = None,
+    page: Annotated[
+        Path | None, typer.Option(metavar="FILE.md", help="Page whose tables and picture are written anew.")
+    ] = None,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Train under the cost limit in each id as it is shipped, and judge the checkpoints on held-out seeds.
+
+    Policies learn with recorded neighbours and are judged with receivers, beside 'nominal' and the shipped 'ppo'.
+
+    Example: lanebound curves --out out/curves --env LaneKeeping --minutes 1
+    """
+    from lanebound.agents.report.pages import require_page
+    from lanebound.agents.studies.curves import SECTIONS, CurvesConfig, run_curves, save_curves, tables
+
+    if page is not None:
+        require_page(page, SECTIONS)
+    config = CurvesConfig.load(changes(assignments, envs=env, minutes=minutes))
+    with resumable(lambda: f"{kept_text(out, 'parts/*.json', 'id')}; trainings go on from their last checkpoint"):
+        found = with_bar("ids", lambda on_progress: run_curves(config, out, on_progress))
+        figure = save_curves(found, out if page is None else page.parent)
+    show_study(found, tables(found), out, page, as_json)
+    if not as_json:
+        typer.echo(f"picture: {figure}")
+
+
+tune = typer.Typer(cls=AdvisingGroup, help="Fit parameters of agents on training seeds.", no_args_is_help=True)
+
+
+@tune.callback()
+def _tune() -> None:
+    """Fit parameters of agents on training seeds."""
+
+
+@tune.command("cautious")
+def cautious(
+    name: EnvId,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the episodes; a run is resumed there.")],
+    sky: Annotated[str, typer.Option(help="Preset of the sky.")] = "dense",
+    seeds: Annotated[int, typer.Option(min=1, help="How many, from the first training seed on.")] = 40,
+    jobs: Cores = None,
+    _plugins: Plugins = None,
+) -> None:
+    """Constant margins to compare the integrity-aware driver with; prints JSON.
+
+    Of a ladder of nine, the least caution that does no more harm; where none does as little, that of its throughput.
+
+    Example: lanebound tune cautious CarFollowing --sky dense --out out/tune
+    """
+    from lanebound.agents.benchmark.tuning import tune_cautious
+
+    with resumable(lambda: kept_text(out, "episodes/*/*/*/*.parquet", "episode")):
+        print_json(with_bar("episodes", lambda on_progress: tune_cautious(name, sky, seeds, out, jobs, on_progress)))
+
+
+@tune.command("growth")
+def growth(
+    names: Annotated[list[str], typer.Argument(metavar="ID...", help="Environments with decisions of one length.")],
+    skies: Annotated[list[str] | None, typer.Option("--sky", help="Preset of the sky; may be repeated.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Episodes a sky, from the first training seed on.")] = 40,
+    _plugins: Plugins = None,
+) -> None:
+    """How protection levels grow without RTK, for the drivers that predict them; prints JSON.
+
+    Example: lanebound tune growth CarFollowing LaneKeeping --seeds 20
+    """
+    from lanebound.agents.benchmark.growth_fit import fit_growth, measure_growth
+
+    chosen = tuple(skies or ("urban", "dense"))
+    print_json(fit_growth(*with_bar("episodes", lambda on_progress: measure_growth(names, chosen, seeds, on_progress))))
+
+
+@tune.command("limits")
+def tune_limits(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for results.json; a run is resumed there.")],
+    env: Annotated[
+        list[str] | None,
+        typer.Option("--env", metavar="ID", help="This id alone; may be repeated. All eight otherwise."),
+    ] = None,
+    sky: Annotated[
+        list[str] | None,
+        typer.Option("--sky", help="Preset of the sky; may be repeated. Otherwise that of each id, and urban."),
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=2, help="Episodes of each, of training seeds; by default 24.")
+    ] = None,
+    page: Annotated[Path | None, typer.Option(metavar="FILE.md", help="Page whose tables are written anew.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    _plugins: Plugins = None,
+    as_json: AsJson = False,
+) -> None:
+    """Limits of an episode's cost and of each group: what integrity_aware keeps in 70 % of its episodes, rounded up.
+
+    Example: lanebound tune limits --out out/cost-limits --env LaneKeeping --seeds 12
+    """
+    from lanebound.agents.report.pages import require_page
+    from lanebound.agents.studies.limits import COST_SECTIONS, CostLimitsConfig, cost_tables, tune_cost_limits
+
+    if page is not None:
+        require_page(page, COST_SECTIONS)
+    config = CostLimitsConfig.load(changes(assignments, envs=env, skies=known_skies(sky), seeds=seeds))
+    found = carry_out(out, "id and sky", lambda report: tune_cost_limits(config, out, jobs, report), "ids and skies")
+    show_study(found, cost_tables(found), out, page, as_json)
