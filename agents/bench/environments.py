@@ -353,7 +353,7 @@ def beside_busy_process() -> Iterator[subprocess.Popen[bytes]]:
 
 
 def measure_busy(rounds: int = 5) -> list[Row]:
-    """Median over rounds of steps a second beside the busy process, over those alone just before."""
+    """Median over rounds of steps a second next to a busy process, over those alone just before."""
     env = EngineVecEnv(ID, COUNT, {"observation": {"form": "flat"}})
     try:
         env.seed(SEED)

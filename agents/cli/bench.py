@@ -31,7 +31,7 @@ def bench(
         Path | None,
         typer.Option(
             metavar="FILE.md",
-            help="With --scale: page whose tables are written anew, and beside it FILE.csv with all points.",
+            help="With --scale: page whose tables are written anew, and next to it FILE.csv with all points.",
         ),
     ] = None,
     as_json: AsJson = False,

@@ -154,7 +154,7 @@ def evaluate(
     sky: Annotated[str | None, typer.Option(help="Preset of the sky; that of the training by default.")] = None,
     assignments: Assignments = None,
     _plugins: Plugins = None,
-    agents: Annotated[str, typer.Option(metavar="A,B", help="Drive these beside it.")] = "nominal,integrity_aware",
+    agents: Annotated[str, typer.Option(metavar="A,B", help="Drive these next to it.")] = "nominal,integrity_aware",
     seeds: Annotated[int, typer.Option(min=1, help="Episodes of each, on test seeds.")] = 50,
     skip: Annotated[int, typer.Option(min=0, help="First test seeds left out, as ones that were looked at.")] = 0,
     jobs: Cores = None,
@@ -162,7 +162,7 @@ def evaluate(
     full: FullTables = False,
     as_json: AsJson = False,
 ) -> None:
-    """Drive a learnt policy on the test seeds, beside other agents.
+    """Drive a learnt policy on the test seeds, next to other agents.
 
     Example: lanebound evaluate out/learnt --out out/learnt-evaluation --seeds 20
     \f
@@ -181,7 +181,7 @@ def export(
     source: Source,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="FILE.onnx, by default beside the checkpoint; or FILE.npz, as 'ppo' is."),
+        typer.Option(metavar="FILE", help="FILE.onnx, by default next to the checkpoint; or FILE.npz, as 'ppo' is."),
     ] = None,
     env: Where = None,
     assignments: Assignments = None,
@@ -275,7 +275,7 @@ def curves(
 ) -> None:
     """Train under the cost limit in each id as it is shipped, and judge the checkpoints on held-out seeds.
 
-    Policies learn with recorded neighbours and are judged with receivers, beside 'nominal' and the shipped 'ppo'.
+    Policies learn with recorded neighbours and are judged with receivers, next to 'nominal' and the shipped 'ppo'.
 
     Example: lanebound curves --out out/curves --env LaneKeeping --minutes 1
     """

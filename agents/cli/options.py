@@ -76,7 +76,7 @@ def changes(assignments: list[str] | None, **named: Any) -> dict[str, Any]:
 
 
 def require_one_source(changed: Mapping[str, Any], path: str, option: str) -> None:
-    """Refuse an assignment of ``path`` beside the option that sets it.
+    """Refuse an assignment of ``path`` together with the option that sets it.
 
     Raises
     ------

@@ -65,7 +65,7 @@ def replay(
     smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages.
     NAME.csv of an IMU with NAME.csv.tag, which counts its bytes, and one .pos of RTKLIB with velocities (rows of Q 1
     and 2; llh, xyz or enu; GPST, UTC or JST): the same by gyros and accelerometers. A RINEX pair: RTK. Its files are
-    told apart by their names (rover, base) or by which receiver moves. docs/navigation.md says where to get the
+    distinguished by their names (rover, base) or by which receiver moves. docs/navigation.md says where to get the
     recordings.
 
     With --service the drive runs through the navigator of simulated drives: spp on smartLoc and RINEX, dgps with the

@@ -42,7 +42,7 @@ from lanebound.integrity.core.errors import ConfigError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BESIDE = {"nominal": "#9A9A9A", "ppo": "#D55E00"}
+COMPARED = {"nominal": "#9A9A9A", "ppo": "#D55E00"}
 """Drivers that the policy is compared with, and their colours; ``ppo`` is the shipped policy."""
 LEARNT, OWN = "learnt", "#0072B2"
 SHOWN = ("return", "cost", "over_cost_limit", "success", "mean_speed")
@@ -161,7 +161,7 @@ def _learn(config: CurvesConfig, out: Path, env: str, advance: Advance) -> dict[
         model = load_model(out / "trainings" / env / "last.zip", planned.algorithm)
         rest = config.held_out(config.final_seeds)
         with closing(planned.open()) as single:
-            drivers: dict[str, Any] = {LEARNT: model, **{name: make_agent(name, single) for name in BESIDE}}
+            drivers: dict[str, Any] = {LEARNT: model, **{name: make_agent(name, single) for name in COMPARED}}
         final = {}
         for n, (name, driver) in enumerate(drivers.items()):
             final[name] = _kept(folder / f"{name}.json", partial(drive_all, planned, driver, rest))
@@ -256,7 +256,7 @@ def curves_figure(found: Mapping[str, Any]) -> Figure:
             high = [point.mean if point.high is None else point.high for point in points]
             axis.fill_between(steps, low, high, color=OWN, alpha=0.15, linewidth=0)
             axis.plot(steps, means, color=OWN, marker="o", markersize=3, linewidth=1.4, label=LEARNT)
-            for name, colour in BESIDE.items():
+            for name, colour in COMPARED.items():
                 level = _estimate(part["final"][name], key).mean
                 axis.axhline(level, color=colour, linewidth=1.2, linestyle="--", label=name)
             if key == "cost":

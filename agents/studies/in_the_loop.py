@@ -282,7 +282,7 @@ def trust_rows(result: Mapping[str, Any]) -> Table:
 
 
 def sbas_rows(result: Mapping[str, Any]) -> Table:
-    """HPL_SBAS of the positions by codes beside it: its mean, and how often the filter's error is beyond it."""
+    """HPL_SBAS of the positions by codes: its mean, and how often the filter's error is beyond it."""
     rows: list[tuple[str, ...]] = [
         (sky, f"{s['epochs']:,}", f"{s['mean_m']:.2f} m", f"{s['beyond']:.2g}")
         for sky, found in result["skies"].items()
@@ -369,7 +369,7 @@ def compare(streets: Sequence[Mapping[str, Any]], error_m: float) -> dict[str, A
     street = np.repeat(np.arange(len(streets)), [len(s["mode"]) for s in streets])
     large, level = columns["error_m"] > error_m, np.log(columns["pl_m"])
     age = np.log1p(columns["age_s"])
-    clock, whole, foretold = np.zeros((3, street.size))
+    clock, whole, predicted = np.zeros((3, street.size))
     for held in np.unique(street):
         for mode in np.unique(columns["mode"]):
             own = columns["mode"] == mode
@@ -383,7 +383,7 @@ def compare(streets: Sequence[Mapping[str, Any]], error_m: float) -> dict[str, A
                 known, new = basis.at(age[fitted], level[fitted]), basis.at(age[asked], level[asked])
                 scores[asked] = new @ fit_logistic(known, large[fitted])
                 if knots == 1:
-                    foretold[asked] = new @ fit_linear(known, level[fitted])
+                    predicted[asked] = new @ fit_linear(known, level[fitted])
     chosen = named_generator(0, "resamples").integers(len(streets), size=(RESAMPLES, len(streets)))
     weight = np.stack([np.bincount(row, minlength=len(streets)) for row in chosen]).astype(float)
     every = np.concatenate([np.ones((1, len(streets))), weight])
@@ -395,7 +395,7 @@ def compare(streets: Sequence[Mapping[str, Any]], error_m: float) -> dict[str, A
         "auc_clock": _interval(aucs[0]),
         "auc_level": _interval(aucs[1]),
         "gain": _interval(aucs[1] - aucs[0]),
-        "r2": _interval(_weighted_r2(foretold, level, street, every)),
+        "r2": _interval(_weighted_r2(predicted, level, street, every)),
     }
 
 
@@ -465,11 +465,11 @@ def _weighted_auc(scores: Array, large: Bools, street: NDArray[np.int64], weight
     return np.asarray(np.divide(ordered, of, out=np.full(of.shape, np.nan), where=of > 0.0))
 
 
-def _weighted_r2(foretold: Array, value: Array, street: NDArray[np.int64], weight: Array) -> Array:
+def _weighted_r2(predicted: Array, value: Array, street: NDArray[np.int64], weight: Array) -> Array:
     """``1 - sum (v - f)^2 / sum (v - mean)^2`` with each street counted ``weight`` (R, streets) times.  (R,)."""
     number, first, second, left = (
         weight @ np.bincount(street, values, weight.shape[1])
-        for values in (np.ones(value.size), value, value**2, (value - foretold) ** 2)
+        for values in (np.ones(value.size), value, value**2, (value - predicted) ** 2)
     )
     return np.asarray(1.0 - left / (second - first**2 / number))
 

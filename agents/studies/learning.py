@@ -76,7 +76,7 @@ def study_hours(study: LearningStudyConfig, course: Course) -> float:
              for env in study.envs}  # fmt: skip
     learning_s = sum(_seconds(one.experiment(study), paces[one.env], study.test_seeds) for one in course.trainings)
     alone_s = sum(paces[env].alone_s * paces[env].decisions for env, _ in study.places)
-    return (learning_s + len(BESIDE) * study.test_seeds * alone_s) / 3600.0
+    return (learning_s + len(COMPARED) * study.test_seeds * alone_s) / 3600.0
 
 
 def _seconds(planned: ExperimentConfig, pace: Pace, test_seeds: int) -> float:
@@ -152,7 +152,7 @@ def keeps(part: Mapping[str, Any]) -> bool:
     return _means(part["episodes"])["cost"] <= float(part["limit"])
 
 
-def kept_oftener(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
+def kept_more_often(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
     """Trainings of arms within the cost limit, in all places together, and ``p`` of no difference (McNemar, exact).
 
     Trainings with the same place and seed are paired: ``n`` pairs; ``first`` and ``second`` within the limit, and
@@ -162,8 +162,8 @@ def kept_oftener(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence
     out = []
     for arm, others in arms.items():
         for other in others:
-            ours, theirs = by_arm[arm], by_arm[other]
-            pairs = [(ours[key], theirs[key]) for key in sorted(ours.keys() & theirs.keys())]
+            of_arm, of_other = by_arm[arm], by_arm[other]
+            pairs = [(of_arm[key], of_other[key]) for key in sorted(of_arm.keys() & of_other.keys())]
             alone, against = pairs.count((True, False)), pairs.count((False, True))
             out.append({
                 "arm": arm, "other": other, "n": len(pairs),
@@ -179,13 +179,13 @@ def higher(parts: Sequence[Mapping[str, Any]], arm: str, other: str, key: str = 
 
     Returns (pairs where the first is higher, pairs, places where its mean is higher, places).
     """
-    ours, theirs = (
+    of_arm, of_other = (
         {(p["env"], p["sky"], p["seed"]): _means(p["episodes"])[key] for p in parts if p["arm"] == name}
         for name in (arm, other)
     )
     gaps: dict[tuple[str, str], list[float]] = {}
-    for place in sorted(ours.keys() & theirs.keys()):
-        gaps.setdefault(place[:2], []).append(ours[place] - theirs[place])
+    for place in sorted(of_arm.keys() & of_other.keys()):
+        gaps.setdefault(place[:2], []).append(of_arm[place] - of_other[place])
     above = [gap > 0.0 for of in gaps.values() for gap in of]
     return sum(above), len(above), sum(sum(of) > 0.0 for of in gaps.values()), len(gaps)
 
@@ -218,11 +218,11 @@ def _column(trainings: Mapping[int, Mapping[str, Any]], key: str) -> Array:
     return np.array([trainings[seed][key] for seed in sorted(trainings)])
 
 
-def _differences(ours: Mapping[int, Mapping[str, Any]], theirs: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
+def _differences(own: Mapping[int, Mapping[str, Any]], others: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
     """Differences of each metric over common seeds; ``p`` of no difference."""
-    both, out = sorted(ours.keys() & theirs.keys()), {}
+    both, out = sorted(own.keys() & others.keys()), {}
     for key in SHOWN:
-        gap = np.array([ours[seed][key] - theirs[seed][key] for seed in both])
+        gap = np.array([own[seed][key] - others[seed][key] for seed in both])
         low, high = student_ends(gap)
         out[key] = {"difference": float(gap.mean()) if both else None, "low": low, "high": high, "n": len(both),
                     "p": student_p(gap) if gap.size > 1 else None}  # fmt: skip
@@ -266,7 +266,7 @@ def tested(found: Mapping[str, Any]) -> str:
 
 FOLDER = "studies/"
 PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers", "lanebound.agents.learning")
-BESIDE = ("nominal", "integrity_aware")
+COMPARED = ("nominal", "integrity_aware")
 
 
 class ArmConfig(Config):
@@ -498,8 +498,8 @@ def beside_suite(study: LearningStudyConfig, env: str, sky: str) -> SuiteConfig:
             "title": study.title,
             "envs": [env],
             "skies": [sky],
-            "agents": {name: name for name in BESIDE},
-            "reference": BESIDE[0],
+            "agents": {name: name for name in COMPARED},
+            "reference": COMPARED[0],
             "seeds": {"split": "test", "count": study.test_seeds, "skip": study.test_skip},
             "overrides": study.shared(env).get("overrides", {}),
         }
@@ -532,7 +532,7 @@ def _written(
             }
             for (env, sky), results in beside.items()
         ],
-        "kept": kept_oftener(list(done.values()), study.against),
+        "kept": kept_more_often(list(done.values()), study.against),
     }
     adjust(found["places"], found["kept"], study.families)
     if done:

@@ -23,7 +23,7 @@ from lanebound.agents.studies.learning import (
     LearningStudyConfig,
     adjust,
     higher,
-    kept_oftener,
+    kept_more_often,
     load_study,
     summarise,
     tested,
@@ -121,7 +121,7 @@ def summed_up(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]
         for env, sky in study.places
         if (here := [one for one in trainings if (one["env"], one["sky"]) == (env, sky)])
     ]
-    kept = kept_oftener(trainings, study.against)
+    kept = kept_more_often(trainings, study.against)
     return Sum(places, kept, adjust(places, kept, study.families))
 
 

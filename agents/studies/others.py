@@ -1,4 +1,4 @@
-"""Whether broadcasts with recorded errors can be told from those of vehicles that navigate.
+"""Whether broadcasts with recorded errors can be distinguished from those of vehicles that navigate.
 
 Both drive traffic of the same kind, without an ego. A p-value is the share of random exchanges between the two kinds
 in which they differ at least as much. In the recorded cities whole episodes are exchanged, whose vehicles share

@@ -228,13 +228,13 @@ def compare_paths(recorded: SignalResiduals, simulated: SignalResiduals) -> list
     rows = []
     for name in OBSERVABLES:
         for path in PATHS:
-            theirs, satellite = _of(recorded, name, path), recorded.satellite[_rows(recorded, name, path)]
-            ours = _of(simulated, name, path)
-            low, high = _by_satellite(theirs, satellite)
+            values, satellite = _of(recorded, name, path), recorded.satellite[_rows(recorded, name, path)]
+            made = _of(simulated, name, path)
+            low, high = _by_satellite(values, satellite)
             rows.append({
-                "observable": name, "path": path, "signals": len(theirs), "satellites": len(np.unique(satellite)),
-                "recorded": _signals_quantiles(theirs), "low": low, "high": high, "simulated": _signals_quantiles(ours),
-                "simulated_signals": len(ours),
+                "observable": name, "path": path, "signals": len(values), "satellites": len(np.unique(satellite)),
+                "recorded": _signals_quantiles(values), "low": low, "high": high, "simulated": _signals_quantiles(made),
+                "simulated_signals": len(made),
             })  # fmt: skip
     return rows
 

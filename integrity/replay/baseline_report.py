@@ -73,14 +73,14 @@ def _equal_values(rover: Observations, base: Observations) -> Iterator[tuple[int
     """How many codes and phases of common satellite epochs are equal, and how many both have, by code."""
     yield 0, 0
     for letter in set(rover.rows) & set(base.rows):
-        ours, theirs = rover.rows[letter], base.rows[letter]
+        of_rover, of_base = rover.rows[letter], base.rows[letter]
         first, second = (
             np.round(1e3 * data.since(int(rover.week[0]))[rows.epoch]).astype(np.int64) * 1000 + rows.satellite
-            for data, rows in ((rover, ours), (base, theirs))
+            for data, rows in ((rover, of_rover), (base, of_base))
         )
         _, i, j = np.intersect1d(first, second, return_indices=True)
-        for code in (code for code in ours.codes if code in theirs.codes and code[0] in "CLP"):
-            one, other = ours.column(code)[i], theirs.column(code)[j]
+        for code in (code for code in of_rover.codes if code in of_base.codes and code[0] in "CLP"):
+            one, other = of_rover.column(code)[i], of_base.column(code)[j]
             there = (one != 0.0) & (other != 0.0)
             yield int((there & (one == other)).sum()), int(there.sum())
 
@@ -100,17 +100,16 @@ def check_places(
     choice = choose_signals(rover, base, 1)
     own = require_gps_time("base", base, choice.base, choice, table, ionosphere)
     at_rover = require_gps_time("rover", rover, choice.rover, choice, table, ionosphere)
-    theirs = None if rover_m is None else at_rover
     remedy = f"{'correct' if source == given.base else 'give'} {given.base}"
-    if theirs is not None and rover_m is not None and _is_at(own, rover_m) and _is_at(theirs, base_m):
+    if rover_m is not None and _is_at(own, rover_m) and _is_at(at_rover, base_m):
         remedy = f"{given.rover} fits them, and that of the base the rover's: exchange the two, or rover and base"
     elif _is_at(own, _from_radians(base_m)):
         remedy = f"it is probably given in radians: convert {source} to degrees"
     _require_base(own, base_m, source, remedy)
-    if theirs is None or rover_m is None:
+    if rover_m is None:
         return own.distance_m(base_m), None
-    _require_rover(theirs, rover_m, given.rover)
-    return own.distance_m(base_m), theirs.distance_m(rover_m)
+    _require_rover(at_rover, rover_m, given.rover)
+    return own.distance_m(base_m), at_rover.distance_m(rover_m)
 
 
 def _is_at(own: CodePlaces, place_m: Array) -> bool:

@@ -358,7 +358,7 @@ def write_context(
     ----------
     kind : of the recording, as :func:`~.datasets.kind_of` finds it
     roads : the map, GeoJSON as :mod:`~lanebound.integrity.recorded.road_file` reads it
-    changes : overrides of :class:`~.context_epochs.ContextReplayConfig`
+    changes : overrides of :class:`ContextReplayConfig`
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """The files of a RINEX pair in a folder: which receiver is the rover, which the base, and the navigation.
 
-Files are recognized by their first line. Two observation files are told apart by their names (``rover``, ``rov``,
+Files are recognized by their first line. Two observation files are distinguished by their names (``rover``, ``rov``,
 ``mobile``; ``base``, ``ref``, ``station``) and otherwise by their positions: the receiver that moves is the rover.
 
 Replay of a folder with a recorded data set, whose kind is detected from its files.
@@ -169,7 +169,7 @@ def replay_folder(
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a data set; returns the statistics and the files written into ``out``.
 
-    With ``service`` the recording runs through a navigator with these positioning services (:mod:`.service_report`),
+    With ``service`` the recording runs through a navigator with these positioning services (:mod:`.service_drive`),
     and ``changes`` are those of its configuration.
 
     ``changes`` are overrides of the configuration of the kind: :class:`~.city.CityReplay`,
@@ -177,7 +177,7 @@ def replay_folder(
     ``progress`` is called with the number of solved epochs and the total number. ``navigator`` names a filter, by kind
     or preset, in place of the method of the kind of data set; ``changes`` are then those of
     :class:`~.filter_drive.FilterReplayConfig`. With ``roads``, a map as GeoJSON, the context monitor judges the drive;
-    ``changes`` are of :class:`~.context_epochs.ContextReplayConfig`.
+    ``changes`` are of :class:`~.context_drive.ContextReplayConfig`.
 
     Raises
     ------
