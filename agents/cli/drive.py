@@ -230,8 +230,7 @@ class EpisodeProgress:
 
 
 def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:
-    from lanebound.integrity.assessment.plotting import save
-    from lanebound.integrity.assessment.stanford import stanford_figure
+    from lanebound.integrity.assessment.plotting import save, stanford_figure
 
     if len({(row["al_at_m"], row["al_ct_m"]) for row in log.rows}) > 1:
         title += "\nAlert limits change; errors and levels are scaled to those of the start"

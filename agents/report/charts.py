@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 from lanebound.agents.benchmark.results import Paired
 from lanebound.agents.report.style import interval, plain, shorten, signed
 from lanebound.envs.costs import CAUSES
-from lanebound.integrity.assessment.events import Zone
-from lanebound.integrity.assessment.plotting import mode_colour
-from lanebound.integrity.assessment.record import AXES, Axis, Record
-from lanebound.integrity.assessment.stanford import ZoneCounts, count_zones
+from lanebound.integrity.assessment.plotting import ZoneCounts, count_zones, mode_colour
+from lanebound.integrity.assessment.record import AXES, Axis, Record, Zone
 from lanebound.integrity.positioning.modes import Mode
 
 if TYPE_CHECKING:

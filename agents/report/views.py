@@ -37,9 +37,8 @@ from lanebound.agents.report.charts import (
 )
 from lanebound.agents.report.style import SHARE, Actor, clear_best, plain, replay_command, slug_of, title_of, unit_of
 from lanebound.envs.costs import CAUSES, CostConfig
-from lanebound.integrity.assessment.events import Zone
-from lanebound.integrity.assessment.record import AXES, Record
-from lanebound.integrity.assessment.stanford import ZoneCounts
+from lanebound.integrity.assessment.plotting import ZoneCounts
+from lanebound.integrity.assessment.record import AXES, Record, Zone
 from lanebound.integrity.positioning.modes import Mode
 
 BAD_ENDS = ("collision", "off road", "wrong way")

@@ -32,7 +32,7 @@ from lanebound.agents.episodes.columns import Moment
 from lanebound.agents.studies.study import Shown, claim, parts_of, stored
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import alert_limits_m, navigator_config
-from lanebound.integrity.assessment.bounding import clopper_pearson
+from lanebound.integrity.assessment.accuracy import clopper_pearson
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sensors.fault_registry import fault_kind

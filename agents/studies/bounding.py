@@ -21,23 +21,25 @@ from numpy.typing import NDArray
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.study import Shown, claim, parts_of, stored
-from lanebound.integrity.assessment.bounding import clopper_pearson
+from lanebound.integrity.assessment.accuracy import clopper_pearson
 from lanebound.integrity.assessment.drift_model import DriftConfig, Outage, drift_exceedance
 from lanebound.integrity.assessment.exceedance import (
-    STRATA,
-    ExceedanceCounts,
-    expected_fault_free,
-    least_fault_free,
-    tally,
-)
-from lanebound.integrity.assessment.importance import (
     DRAWN,
+    STRATA,
+    Case,
+    ExceedanceCounts,
     FaultSize,
+    Form,
+    Prepared,
+    draw_case,
+    expected_fault_free,
     expected_one_fault,
     importance_rates,
+    least_fault_free,
     mean_and_deviation,
+    prepare,
+    tally,
 )
-from lanebound.integrity.assessment.measurement_model import Case, Form, Prepared, draw_case, prepare
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.risk import RiskConfig, pair_risk, upper_quantile

@@ -21,8 +21,15 @@ from lanebound.agents.serialization import finite_or_none
 from lanebound.agents.studies.context_drive import DRIVES, DriveTable, MonitorSeries, drive_figures, drive_of, wrong_map
 from lanebound.agents.studies.study import Shown, claim, parts_of, stored
 from lanebound.integrity.assessment.plotting import INK, LIMIT_COLOUR, PL_COLOUR, legend, new_figure, save, tidy
-from lanebound.integrity.assessment.speed_power import SpeedPowerConfig, rest_power, speed_power
-from lanebound.integrity.assessment.warning_rates import PUBLISHED_COUNTS, ChargingConfig, WarningCounts, WarningSweep
+from lanebound.integrity.assessment.warning_rates import (
+    PUBLISHED_COUNTS,
+    ChargingConfig,
+    SpeedPowerConfig,
+    WarningCounts,
+    WarningSweep,
+    rest_power,
+    speed_power,
+)
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import deep_merge

@@ -26,11 +26,12 @@ from lanebound.integrity.assessment.accuracy import find_outages
 from lanebound.integrity.assessment.conventional_rtk import (
     ConventionalRtkConfig,
     ConventionalSolution,
+    KinematicConfig,
+    KinematicFilter,
     RtkOutcome,
+    RtkSignals,
     solve_epoch,
 )
-from lanebound.integrity.assessment.double_differences import RtkSignals
-from lanebound.integrity.assessment.kinematic_rtk import KinematicConfig, KinematicFilter
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import enu_axes, track_from_enu_matrix

@@ -35,8 +35,8 @@ from lanebound.agents.studies.monitored_drives import (
 )
 from lanebound.agents.studies.street_drives import PACKAGES, StreetDrivesConfig
 from lanebound.agents.studies.study import Shown, stored
-from lanebound.integrity.assessment.events import Zone, classify
 from lanebound.integrity.assessment.plotting import INK, new_figure
+from lanebound.integrity.assessment.record import Zone, classify
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig

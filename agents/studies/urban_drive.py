@@ -31,10 +31,8 @@ from lanebound.agents.checkpointing.runner import Advance, OnProgress, RunProgre
 from lanebound.agents.report.pages import Table
 from lanebound.agents.serialization import finite_or_none
 from lanebound.agents.studies.study import Shown, claim, stored
-from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.plotting import map_figure, save, series_figure, stanford_figure
 from lanebound.integrity.assessment.record import Record
-from lanebound.integrity.assessment.series import map_figure, series_figure
-from lanebound.integrity.assessment.stanford import stanford_figure
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.streams import Streams, named_generator
 from lanebound.integrity.monitoring.risk import Variant

@@ -23,9 +23,17 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_geodetic, enu_axes
-from lanebound.integrity.recorded.series import Timing, in_order
-from lanebound.integrity.recorded.source import Lines, Stop, finite_number
-from lanebound.integrity.recorded.time_scales import GPS_EPOCH_S, WEEK_S, leap_seconds, unrolled
+from lanebound.integrity.recorded.source import (
+    GPS_EPOCH_S,
+    WEEK_S,
+    Lines,
+    Stop,
+    Timing,
+    finite_number,
+    in_order,
+    leap_seconds,
+    unrolled,
+)
 
 __all__ = ["FIXED", "FLOAT", "ReferenceTrack", "RtkSolution", "read_reference", "read_rtk_solution"]
 

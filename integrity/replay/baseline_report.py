@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import (
     ecef_from_geodetic,

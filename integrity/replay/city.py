@@ -24,12 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.accuracy import assess
-from lanebound.integrity.assessment.bounding import doubt, measure_bounding
-from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.accuracy import assess, doubt, measure_bounding
+from lanebound.integrity.assessment.plotting import map_figure, save, series_figure, stanford_figure
 from lanebound.integrity.assessment.record import AXES, Record
-from lanebound.integrity.assessment.series import map_figure, series_figure
-from lanebound.integrity.assessment.stanford import stanford_figure
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix

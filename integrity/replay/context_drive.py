@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import doubt
+from lanebound.integrity.assessment.accuracy import doubt
 from lanebound.integrity.assessment.plotting import INK, legend, new_figure, save, tidy
 from lanebound.integrity.assessment.warning_rates import WarningCounts, sweep_thresholds
 from lanebound.integrity.core.config import Field

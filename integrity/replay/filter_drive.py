@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import doubt, measure_bounding
-from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
+from lanebound.integrity.assessment.plotting import save, series_figure
 from lanebound.integrity.assessment.record import Record
-from lanebound.integrity.assessment.series import series_figure
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.frames import (

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
@@ -37,7 +37,7 @@ from lanebound.integrity.core.frames import (
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.imu_log import G_MPS2, ImuLog, levelled, read_imu_log
 from lanebound.integrity.recorded.rtklib import RtkSolution, read_rtk_solution
-from lanebound.integrity.recorded.series import UNTIMED, notes
+from lanebound.integrity.recorded.source import UNTIMED, notes
 from lanebound.integrity.replay.outages import OutageErrors, averaged, by_age, drift_figure
 from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, reckon, turned
 from lanebound.integrity.replay.sensor_checks import (
