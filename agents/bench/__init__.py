@@ -1,1 +1,1 @@
-"""Benchmarks: each module here that has ``measure(rounds) -> list[Row]`` is found and run by ``lanebound bench``."""
+"""Benchmarks of speed, which ``lanebound bench`` runs and compares with their gates."""

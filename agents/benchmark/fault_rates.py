@@ -16,7 +16,7 @@ import numpy as np
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.statistics import Estimate, estimate
-from lanebound.integrity.assessment.bounding import clopper_pearson
+from lanebound.integrity.assessment.accuracy import clopper_pearson
 
 __all__ = ["GIVEN_FAULT", "RATES", "FaultCell", "FaultRate", "fault_cells", "fault_rates"]
 

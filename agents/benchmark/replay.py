@@ -8,7 +8,7 @@ from pathlib import Path
 from lanebound.agents.benchmark.outcome import Outcome, Task
 from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.work import FilmedEpisodes
-from lanebound.agents.checkpointing.pool import Pool
+from lanebound.agents.checkpointing.runner import Pool
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["differences", "find_task", "replay"]

@@ -13,7 +13,7 @@ from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, MANOEUVRE_S, TTA_S, 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.info import FAULT_INFO
-from lanebound.integrity.assessment.events import alert_delays
+from lanebound.integrity.assessment.record import alert_delays
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.fault_registry import fault_kinds
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, ndtr, stdtr, stdtrit
 
 from lanebound.agents.benchmark.metrics import ANYTHING, Better, Bounds
-from lanebound.integrity.assessment.bounding import clopper_pearson
+from lanebound.integrity.assessment.accuracy import clopper_pearson
 from lanebound.integrity.core.streams import named_generator
 
 __all__ = [

@@ -16,8 +16,16 @@ from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.checkpointing.folder import locked
-from lanebound.agents.checkpointing.pool import Lost, PartStatus
-from lanebound.agents.checkpointing.runner import Counter, OnProgress, RunProgress, available_cores, ignore, run_work
+from lanebound.agents.checkpointing.runner import (
+    Counter,
+    Lost,
+    OnProgress,
+    PartStatus,
+    RunProgress,
+    available_cores,
+    ignore,
+    run_work,
+)
 from lanebound.agents.drivers import AGENTS, load_figures, make_agent, unknown_agent
 from lanebound.agents.drivers.foreign import MODELS, is_foreign, require_foreign
 from lanebound.agents.drivers.importing import require_importable

@@ -12,8 +12,6 @@ from typing import Any, TypeVar
 from lanebound.agents.serialization import to_json_text
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["make_folder", "read_json", "replace_file", "write_json"]
-
 T = TypeVar("T")
 JSON_NAMES: dict[type, str] = {dict: "object", list: "array"}
 

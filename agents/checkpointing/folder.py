@@ -32,11 +32,10 @@ try:
 except ImportError:  # Windows: folders are not locked there
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["MANIFEST", "ResultFolder", "code_digest", "locked", "package_versions",
-           "plugin_digests"]  # fmt: skip
 
 MANIFEST, LOCK = "run.json", ".lock"
 FORMAT = 1
+OTHERS = ("experiments/", "studies/", "suites/")  # presets of commands, which no other command takes values from
 PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "highway-env")
 SHOWN = 3  # names or values in a message
 _begun: list[ResultFolder] = []
@@ -80,9 +79,6 @@ class ResultFolder:
         InputError
             As :meth:`check`, or the folder cannot be written.
         """
-        # Imported here because environments take a second to import, and most commands refuse or show something only.
-        from lanebound.agents.checkpointing.defaults import defaults_digest
-
         before, fixed = {} if anew else self.check().get("fixed", {}), self._fixed()
         if not (self.path / MANIFEST).exists():
             _begun.append(self)
@@ -265,3 +261,22 @@ def plugin_digests() -> dict[str, str]:
 def package_versions() -> dict[str, str]:
     """Versions of Python and of the packages whose arithmetic results follow from."""
     return {"Python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+
+
+@cache
+def defaults_digest() -> str:
+    """Eight hexadecimal digits of the default navigator, the ids as shipped, and the packaged presets they may name.
+
+    They say which configuration a result was made with where it names none. Constants in the code are no part of them;
+    the manifest of a result folder has a digest of the code too.
+    """
+    # Imported here because environments take a second to import, and most commands refuse or show something only.
+    from lanebound.envs.ids import IDS
+    from lanebound.envs.registration import make_config
+    from lanebound.integrity.core.presets import load_preset, preset_names
+    from lanebound.integrity.navigators.navigator import NavigatorConfig
+
+    presets = {name: load_preset(name) for name in preset_names() if not name.startswith(OTHERS)}
+    ids = {name: make_config(name).to_dict() for name in sorted(IDS) if name.startswith("lanebound/")}
+    values = {"navigator": NavigatorConfig().to_dict(), "ids": ids, "presets": presets}
+    return hashlib.blake2b(json.dumps(values, sort_keys=True).encode(), digest_size=4).hexdigest()

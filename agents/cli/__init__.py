@@ -6,28 +6,8 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import (
-    agents,
-    assess,
-    bench,
-    benchmark,
-    config,
-    curves,
-    drive,
-    envs,
-    fit,
-    monitors,
-    play,
-    recorded,
-    replay,
-    reproduce,
-    study,
-    train,
-    tune,
-)
+from lanebound.agents.cli import assess, bench, benchmark, drive, learn, listing, recorded, reproduce
 from lanebound.agents.cli.advice import AdvisingGroup
-
-__all__ = ["app", "main"]
 
 EXAMPLES = """
 [bold]Examples[/bold]
@@ -78,29 +58,16 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-app.add_typer(config.app, name="config")
+app.add_typer(listing.config, name="config")
 app.add_typer(reproduce.app, name="reproduce")
 app.add_typer(assess.app, name="assess")
-app.add_typer(tune.app, name="tune")
-app.command("bench")(bench.bench)
-app.command("benchmark")(benchmark.benchmark)
-app.command("train")(train.train)
-app.command("evaluate")(train.evaluate)
-app.command("export")(train.export)
-app.command("study")(study.study)
-app.command("curves")(curves.curves)
-app.command("replay-episode")(replay.replay_episode)
-app.command("replay")(recorded.replay)
-app.command("rtk")(recorded.rtk)
-app.command("fit-imu")(fit.fit_imu)
-app.command("record-sky")(recorded.record_sky)
-app.command("envs")(envs.envs)
-app.command("agents")(agents.agents)
-app.command("monitors")(monitors.monitors)
-app.command("fit-errors")(monitors.fit_errors)
-assess.app.command("monitors")(monitors.assess_monitors)
-app.command("drive")(drive.drive)
-app.command("play")(play.play)
+app.add_typer(learn.tune, name="tune")
+for command in (
+    bench.bench, benchmark.benchmark, learn.train, learn.evaluate, learn.export, learn.study, learn.curves,
+    drive.replay_episode, recorded.replay, recorded.rtk, recorded.fit_imu, recorded.record_sky, listing.envs,
+    listing.agents, listing.monitors, assess.fit_errors, drive.drive, drive.play,
+):  # fmt: skip
+    app.command()(command)
 
 
 def _show_version(wanted: bool) -> None:

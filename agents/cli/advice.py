@@ -9,8 +9,6 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-__all__ = ["AdvisingGroup", "explain"]
-
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
 

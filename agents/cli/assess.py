@@ -1,19 +1,16 @@
-"""``lanebound assess``: measure whether the promises of the navigation layer hold."""
+"""``lanebound assess``: measure whether the promises of the navigation layer hold; ``fit-errors`` for its monitors."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
-from lanebound.agents.cli.early import known_skies
 from lanebound.agents.cli.options import AsJson, Assignments, Jobs, Plugins, changes
-
-__all__ = ["app"]
-
-SIZES = {"worst": "the size that misleads most", "uniform": "any size up to twice the threshold's"}
+from lanebound.agents.cli.output import carry_out, show, show_study, with_bar
+from lanebound.agents.cli.static import known_skies
 
 app = typer.Typer(
     cls=AdvisingGroup, help="Measure whether the promises of the navigation layer hold.", no_args_is_help=True
@@ -59,21 +56,25 @@ def bounding(
 
     Example: lanebound assess bounding --out out/bounds --epochs 1000000 --jobs 2
     """
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.studies.bounding import BoundingConfig, assess_bounding
 
     if in_the_loop:
+        from lanebound.agents.studies.in_the_loop import InTheLoopConfig, assess_in_the_loop, shown_in_the_loop
+
         if rare_risk is not None:
             raise typer.BadParameter("--rare-risk does not go with --in-the-loop: drives are counted, not weighted")
-        given = changes(assignments, risks=risk or None, epochs=epochs, skies=known_skies(sky))
-        _bounding_in_the_loop(out, given, jobs, as_json)
+        loop = InTheLoopConfig.load(changes(assignments, risks=risk or None, epochs=epochs, skies=known_skies(sky)))
+        if loop.rounding:
+            typer.echo(f"note: {loop.rounding}", err=True)
+        result = carry_out(out, "street", lambda report: assess_in_the_loop(loop, out, jobs, report))
+        show(result, shown_in_the_loop(result), as_json, f"results.json: {out}")
         return
+    from lanebound.agents.studies.bounding import BoundingConfig, assess_bounding, shown
+
     if sky:
         raise typer.BadParameter("--sky goes with --in-the-loop: add it, or leave --sky away")
-    with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        config = BoundingConfig.load(changes(assignments, risks=risk or None, epochs=epochs, rare_risk=rare_risk))
-        result = with_bar("parts", lambda on_progress: assess_bounding(config, out, jobs, on_progress))
-        _report_bounding(result, out, as_json)
+    config = BoundingConfig.load(changes(assignments, risks=risk or None, epochs=epochs, rare_risk=rare_risk))
+    result = carry_out(out, "part", lambda report: assess_bounding(config, out, jobs, report))
+    show(result, shown(result), as_json, f"results.json: {out}")
 
 
 @app.command("faults")
@@ -82,25 +83,20 @@ def faults(
     vehicles: Annotated[
         int | None, typer.Option(min=1, help="Vehicles that meet each fault; the study has 64.")
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that drive at a time.")] = 1,
-    assignments: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the study; may be repeated."),
-    ] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
     _plugins: Plugins = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     r"""Every kind of fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
 
     Example: lanebound assess faults --out out/faults --vehicles 4 --set 'kinds=\[spoofing,jamming]'
     """
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.studies.faults import FaultsConfig, assess_faults
+    from lanebound.agents.studies.faults import FaultsConfig, assess_faults, shown
 
-    with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        config = FaultsConfig.load(changes(assignments, vehicles=vehicles))
-        result = with_bar("parts", lambda on_progress: assess_faults(config, out, jobs, on_progress))
-        _report_faults(result, out, as_json)
+    config = FaultsConfig.load(changes(assignments, vehicles=vehicles))
+    result = carry_out(out, "part", lambda report: assess_faults(config, out, jobs, report))
+    show(result, shown(result), as_json, f"results.json, faults.svg, detectability.svg: {out}")
 
 
 @app.command("informativeness")
@@ -119,23 +115,15 @@ def informativeness(
 
     Example: lanebound assess informativeness --out out/informative --sky urban --streets 4 --jobs 2
     """
-    from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.studies.informativeness import (
+    from lanebound.agents.studies.in_the_loop import (
         InformativenessConfig,
         assess_informativeness,
-        informativeness_rows,
+        shown_informativeness,
     )
 
-    with resumable(lambda: kept_text(out, "parts/*.json", "street")):
-        config = InformativenessConfig.load(changes(assignments, skies=known_skies(sky), streets=streets))
-        result = with_bar("streets", lambda on_progress: assess_informativeness(config, out, jobs, on_progress))
-    if as_json:
-        print_json(result)
-        return
-    title = f"Errors across the track above {config.error_m:g} m, foretold for streets held out; 95 % by street"
-    print_table(title, *informativeness_rows(result))
-    typer.echo(f"results.json, informativeness.svg: {out}")
+    config = InformativenessConfig.load(changes(assignments, skies=known_skies(sky), streets=streets))
+    result = carry_out(out, "street", lambda report: assess_informativeness(config, out, jobs, report))
+    show(result, shown_informativeness(result), as_json, f"results.json, informativeness.svg: {out}")
 
 
 @app.command("rtk")
@@ -154,26 +142,11 @@ def rtk(
 
     Example: lanebound assess rtk drives/nagoya --out out/rtk --jobs 2
     """
-    from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.studies.conventional import (
-        RtkRealismConfig,
-        assess_rtk,
-        navigator_rows,
-        rtk_rows,
-        sky_rows,
-    )
+    from lanebound.agents.studies.conventional import RtkRealismConfig, assess_rtk, shown
 
-    with resumable(lambda: kept_text(out, "parts/*.json", "street")):
-        config = RtkRealismConfig.load(changes(assignments, streets=streets))
-        result = with_bar("streets", lambda on_progress: assess_rtk(folder, config, out, jobs, on_progress))
-    if as_json:
-        print_json(result)
-        return
-    print_table("Satellites that conventional RTK can use, by sky", *sky_rows(result))
-    print_table(f"The sky nearest in usable satellites ({result['nearest']}) next to the recording", *rtk_rows(result))
-    print_table("The navigator on the same signals: epochs beyond a level, 95 % by street", *navigator_rows(result))
-    typer.echo(f"results.json: {out}")
+    config = RtkRealismConfig.load(changes(assignments, streets=streets))
+    result = carry_out(out, "street", lambda report: assess_rtk(folder, config, out, jobs, report))
+    show(result, shown(result), as_json, f"results.json: {out}")
 
 
 @app.command("signals")
@@ -191,19 +164,11 @@ def signals(
 
     Example: lanebound assess signals drives/potsdamer --out out/signals --set streets=8
     """
-    from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.cli.progress import with_bar
-    from lanebound.agents.studies.signals import SignalsConfig, assess_signals, path_rows, signal_rows
+    from lanebound.agents.studies.signals import SignalsConfig, assess_signals, shown
 
     config = SignalsConfig.load(changes(assignments))
-    result = with_bar("streets", lambda on_progress: assess_signals(folder, config, out, on_progress, labels))
-    if as_json:
-        print_json(result)
-        return
-    print_table("Share of the codes, and 50 / 75 / 90 / 95 % of their absolute errors [m]", *signal_rows(result))
-    if "paths" in result:
-        print_table("Absolute errors by path: recorded, with 95 % by satellite; simulated", *path_rows(result))
-    typer.echo(f"signals.json: {out}")
+    result = with_bar("streets", lambda report: assess_signals(folder, config, out, report, labels))
+    show(result, shown(result), as_json, f"signals.json: {out}")
 
 
 @app.command("others")
@@ -219,17 +184,12 @@ def others(
 
     Example: lanebound assess others Merge --out out/others --episodes 16
     """
-    from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.episodes.opening import open_env
     from lanebound.agents.studies.others import OthersConfig, assess_others, difference_rows
 
     config = OthersConfig.load(changes(None, episodes=episodes, seed=seed))
     result = assess_others(config, open_env(env, changes(assignments)).config, out)
-    if as_json:
-        print_json(result)
-        return
-    heads = ("quantity", "surrogate", "full, same cities", "full, other cities")
-    print_table(f"Others in {env}: medians or shares", heads, difference_rows(result))
+    show(result, [(f"Others in {env}: medians or shares", difference_rows(result))], as_json)
 
 
 @app.command("limits")
@@ -249,108 +209,68 @@ def limits(
 
     Example: lanebound assess limits --out out/limits --env LaneKeeping --seeds 8
     """
-    from lanebound.agents.cli.output import show_study
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
     from lanebound.agents.report.pages import require_page
-    from lanebound.agents.studies.alert_limits import SECTIONS, AlertLimitsConfig, assess_alert_limits, tables
+    from lanebound.agents.studies.limits import ALERT_SECTIONS, AlertLimitsConfig, alert_tables, assess_alert_limits
 
     if page is not None:
-        require_page(page, SECTIONS)
+        require_page(page, ALERT_SECTIONS)
     config = AlertLimitsConfig.load(changes(assignments, envs=env, seeds=seeds))
-    with resumable(lambda: kept_text(out, "parts/*.json", "id")):
-        found = with_bar("ids", lambda on_progress: assess_alert_limits(config, out, jobs, on_progress))
-    show_study(found, tables(found), out, page, as_json)
+    found = carry_out(out, "id", lambda report: assess_alert_limits(config, out, jobs, report))
+    show_study(found, alert_tables(found), out, page, as_json)
 
 
-def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: bool) -> None:
-    from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.studies.in_the_loop import (
-        FEW_STREETS,
-        InTheLoopConfig,
-        assess_in_the_loop,
-        exceedance_rows,
-        few_streets,
-        mode_rows,
-        sbas_rows,
-        trust_rows,
+@app.command("monitors")
+def assess_monitors(
+    out: Annotated[Path, typer.Option(help="Folder for results.json and report.html; a run is resumed there.")],
+    data: Annotated[Path | None, typer.Option(metavar="FOLDER", help="A recorded drive of smartLoc.")] = None,
+    sky: Annotated[list[str] | None, typer.Option(help="A level of sky that is simulated; may be repeated.")] = None,
+    monitor: Annotated[
+        list[str] | None, typer.Option(help="A monitor, as 'lanebound monitors' lists them; may be repeated.")
+    ] = None,
+    streets: Annotated[int | None, typer.Option(min=1, help="Streets of each sky; the study has 6.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    _plugins: Plugins = None,
+    as_json: AsJson = False,
+) -> None:
+    """All monitors that apply, on the same epochs: exceedances, levels, availability, alarms and cost of each one.
+
+    Example: lanebound assess monitors --data data/smartloc_berlin_potsdamer --out out/monitors
+    """
+    from lanebound.agents.studies.monitors import MonitorsConfig, shown, write_page
+    from lanebound.agents.studies.monitors import assess_monitors as assess
+
+    config = MonitorsConfig.load(
+        changes(assignments, skies=known_skies(sky), monitors=monitor or None, streets=streets)
     )
-
-    with resumable(lambda: kept_text(out, "parts/*.json", "street")):
-        config = InTheLoopConfig.load(given)
-        if config.rounding:
-            typer.echo(f"note: {config.rounding}", err=True)
-        result = with_bar("streets", lambda on_progress: assess_in_the_loop(config, out, jobs, on_progress))
-    if as_json:
-        print_json(result)
-        return
-    print_table("In the loop: rate of errors beyond the level over the risk, 95 % by street", *exceedance_rows(result))
-    print_table(f"Modes, median levels and epochs beyond at {config.risks[0]:g}", *mode_rows(result))
-    heads, trusted = trust_rows(result)
-    if trusted:
-        print_table("Horizontal trust level, 6 sigma of the longer axis (S4 section II-F)", heads, trusted)
-    heads, by_sbas = sbas_rows(result)
-    if by_sbas:
-        print_table("HPL_SBAS, en route, of the positions by codes (DO-229)", heads, by_sbas)
-    typer.echo("A rate over the risk above 1 breaks the promise.")
-    if few_streets(result):
-        typer.echo(f"Fewer than {FEW_STREETS} streets of a sky say little of a rate: give more --epochs.")
-    typer.echo(f"results.json: {out}")
+    result = carry_out(out, "part", lambda report: assess(config, data, out, jobs, report))
+    written = ", ".join(path.name for path in write_page(config, result, out))
+    show(result, shown(config, result), as_json, f"results.json, {written}: {out}")
 
 
-def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
-    from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.studies.bounding import (
-        drift_rows,
-        form_rows,
-        place_rows,
-        rare_place_rows,
-        rare_rows,
-        strata_rows,
-        tightness_rows,
+def fit_errors(
+    out: Annotated[Path, typer.Option(metavar="FILE.yaml", help="Preset to write.")],
+    dataset: Annotated[
+        Path | None,
+        typer.Argument(metavar="[DATASET]", help="Folder of a drive of smartLoc; its first part is fitted."),
+    ] = None,
+    sky: Annotated[str | None, typer.Option(help="In place of a data set: simulated streets under a sky.")] = None,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fit overbounds of code errors to classes of C/N0, elevation and path, and laws of the position error.
+
+    Keys for --set: training_share, form (cdf, tail, paired, pdf), sides (both, late, early), centred, edges, fewest.
+
+    Example: lanebound fit-errors data/smartloc_berlin_potsdamer --out berlin.yaml
+    """
+    from lanebound.agents.studies.monitored_drives import FitErrorsConfig, class_rows, law_rows, write_preset
+    from lanebound.agents.studies.monitored_drives import fit_errors as fit
+
+    fitted, found = fit(dataset, sky, FitErrorsConfig.load(changes(assignments)))
+    write_preset(out, fitted)
+    shown = (
+        ("Overbounds of code errors by class", class_rows(fitted.classes)),
+        ("Laws of all code errors, and the errors themselves", law_rows(found)),
     )
-
-    if as_json:
-        print_json(result)
-        return
-    if "rates" in result:
-        print_table(
-            f"Misleading epochs, of {result['axis_epochs']:,} axis epochs: rate of either axis over the risk, 95 %",
-            *form_rows(result),
-        )
-        print_table("Of these, by what there was: misleading epochs on either axis", *strata_rows(result))
-        print_table("The same by place, at the least risk counted: rate over the risk", *place_rows(result))
-        print_table("Levels over the least that would have held without faults, median", *tightness_rows(result))
-    if "rare" in result:
-        size, most = SIZES[result["config"]["rare_sizes"]], result["rare"]["spent"]["largest"]
-        print_table(f"By importance sampling: rate of one axis; faults have {size}", *rare_rows(result))
-        typer.echo(
-            f"Not drawn: two faults and wrong fixes, at most so often on either axis ({most:.2e} in one geometry)."
-        )
-        print_table(
-            f"The exact root at {result['config']['rare_risk']:g} by biases: rate of one axis", *rare_place_rows(result)
-        )
-    if "drift" in result:
-        print_table("Between fixes: error beyond the level at the end of an outage, either axis", *drift_rows(result))
-    typer.echo(f"A rate over the risk above 1 breaks the promise.\nresults.json: {out}")
-
-
-def _report_faults(result: dict[str, Any], out: Path, as_json: bool) -> None:
-    from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.studies.faults import consistency_rows, control_lines, fault_rows, theory_rows
-
-    if as_json:
-        print_json(result)
-        return
-    print_table(
-        "Faults: vehicles that noticed while it lasted, or once it was over, and what it did to them from its onset on",
-        *fault_rows(result),
-    )
-    print_table("Without faults: consistency of the position by mode", *consistency_rows(result))
-    if result["theory"]:
-        print_table(
-            "A bias of one satellite against theory; without one what is noticed is false", *theory_rows(result)
-        )
-    for line in control_lines(result):
-        typer.echo(line)
-    typer.echo(f"results.json, faults.svg, detectability.svg: {out}")
+    show({"fitted": fitted.to_dict(), **found}, shown, as_json, f"Preset: {out}")

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from lanebound.agents.cli.options import AsJson
-
-__all__ = ["bench"]
+from lanebound.agents.cli.output import carry_out, print_json, print_table, show_study
 
 
 def bench(
@@ -32,7 +31,7 @@ def bench(
         Path | None,
         typer.Option(
             metavar="FILE.md",
-            help="With --scale: page whose tables are written anew, and beside it FILE.csv with all points.",
+            help="With --scale: page whose tables are written anew, and next to it FILE.csv with all points.",
         ),
     ] = None,
     as_json: AsJson = False,
@@ -55,7 +54,6 @@ def _against_gates(only: list[str], rounds: int, out: Path, as_json: bool) -> No
     from rich.console import Console
 
     from lanebound.agents.bench.runner import claim, run, select, write
-    from lanebound.agents.cli.output import print_json, print_table
 
     names = select(only)
     claim(out)
@@ -83,8 +81,6 @@ def _refuse_without_scale(quick: bool, page: Path | None) -> None:
 
 
 def _scale(out: Path, quick: bool, page: Path | None, only: list[str] | None, as_json: bool) -> None:
-    from lanebound.agents.cli.output import show_study
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
     from lanebound.agents.report.pages import csv_of, require_page
     from lanebound.agents.studies.scale import SECTIONS, measured, run_scale, tables
     from lanebound.integrity.core.errors import InputError
@@ -95,8 +91,7 @@ def _scale(out: Path, quick: bool, page: Path | None, only: list[str] | None, as
         raise InputError("--quick and --page must not be given together, got both: a page has the whole measurement")
     if page is not None:
         require_page(page, SECTIONS)
-    with resumable(lambda: kept_text(out, "parts/*.json", "point")):
-        result = with_bar("seconds of work", lambda on_progress: run_scale(out, quick, on_progress))
+    result = carry_out(out, "point", lambda report: run_scale(out, quick, report), "seconds of work")
     show_study(result, {"points": measured(result)} if quick else tables(result), out, page, as_json)
     if page is not None:
         page.with_suffix(".csv").write_text(csv_of(measured(result)), encoding="utf-8")

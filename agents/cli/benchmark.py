@@ -21,13 +21,12 @@ from lanebound.agents.cli.options import (
     changes,
     require_one_source,
 )
-from lanebound.agents.cli.output import counted
+from lanebound.agents.cli.output import kept_text, print_json, resumable, wait_for, with_bar
+from lanebound.agents.serialization import counted
 
 if TYPE_CHECKING:
     from lanebound.agents.benchmark import Results, SuiteConfig
     from lanebound.agents.benchmark.work import BenchmarkPlan
-
-__all__ = ["benchmark", "carry_out"]
 
 T = TypeVar("T")
 PAGE = "report.html"
@@ -58,8 +57,7 @@ def benchmark(
 
     Example: lanebound benchmark standard --out out/mine --agents nominal,mine=runs/model.zip --seeds 20 --budget 2
     """
-    from lanebound.agents.cli.early import refuse_preset
-    from lanebound.agents.cli.keys import refuse_keys
+    from lanebound.agents.cli.static import refuse_keys, refuse_preset
 
     given = changes(assignments)
     if not _plugins:
@@ -79,7 +77,6 @@ def carry_out(
 ) -> None:
     """Drive a suite, print the results and write the report, with progress."""
     from lanebound.agents.benchmark.work import run_plan
-    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
     with resumable(lambda: kept_text(out, "episodes/*/*/*/*.parquet", "episode")):
         plan, cold = _while("opening the environments", lambda say: _plan(choose(), out, fresh))
@@ -108,8 +105,6 @@ def _while(doing: str, work: Callable[[Callable[[str], None]], T]) -> T:
     from rich.console import Console
     from rich.progress import Progress as Bar
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    from lanebound.agents.cli.progress import wait_for
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     console = Console(stderr=True)
@@ -178,10 +173,7 @@ def _length(hours: float) -> str:
 
 
 def _print(results: Results, budget: float | None, full: bool, as_json: bool) -> None:
-    from lanebound.agents.cli.benchmark_tables import print_results
-    from lanebound.agents.cli.fault_tables import print_given_fault
-    from lanebound.agents.cli.output import print_json
-    from lanebound.agents.cli.overview import print_overview
+    from lanebound.agents.cli.benchmark_tables import print_given_fault, print_overview, print_results
 
     if as_json:
         print_json(results.to_dict())

@@ -8,11 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-__all__ = [
-    "AsJson", "Assignments", "Budget", "Cores", "EnvId", "Faults", "Fps", "Fresh", "FullTables", "Jobs", "Plugins",
-    "Seed", "Sky", "Video", "changes", "film_rate", "require_one_source",
-]  # fmt: skip
-
 DEFAULT_FPS = 10
 OPTION_OF = {"risks": "--risk"}
 """Options whose names differ from the keys that they set."""
@@ -81,7 +76,7 @@ def changes(assignments: list[str] | None, **named: Any) -> dict[str, Any]:
 
 
 def require_one_source(changed: Mapping[str, Any], path: str, option: str) -> None:
-    """Refuse an assignment of ``path`` beside the option that sets it.
+    """Refuse an assignment of ``path`` together with the option that sets it.
 
     Raises
     ------

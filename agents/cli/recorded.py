@@ -1,4 +1,7 @@
-"""``lanebound replay``, ``rtk`` and ``record-sky``: recorded drives, computed by the navigator of simulated ones."""
+"""``lanebound replay``, ``rtk`` and ``record-sky``: recorded drives, computed by the navigator of simulated ones.
+
+``lanebound fit-imu``: the warm-up error of accelerometers from a static log.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from lanebound.agents.cli.options import AsJson, Assignments, changes
-from lanebound.agents.cli.rtk_tables import print_rtk
+from lanebound.agents.cli.output import print_json, print_table, resumable, wait_for, with_bar
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from lanebound.agents.checkpointing.runner import OnProgress
     from lanebound.integrity.core.progress import Progress
-
-__all__ = ["record_sky", "replay", "rtk"]
 
 T = TypeVar("T")
 CITY_WORDS = (
@@ -61,7 +65,7 @@ def replay(
     smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages.
     NAME.csv of an IMU with NAME.csv.tag, which counts its bytes, and one .pos of RTKLIB with velocities (rows of Q 1
     and 2; llh, xyz or enu; GPST, UTC or JST): the same by gyros and accelerometers. A RINEX pair: RTK. Its files are
-    told apart by their names (rover, base) or by which receiver moves. docs/navigation.md says where to get the
+    distinguished by their names (rover, base) or by which receiver moves. docs/navigation.md says where to get the
     recordings.
 
     With --service the drive runs through the navigator of simulated drives: spp on smartLoc and RINEX, dgps with the
@@ -80,7 +84,6 @@ def replay(
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
     _limit_blas_threads()
-    from lanebound.agents.cli.output import print_json
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
@@ -135,7 +138,6 @@ def rtk(
     Example: lanebound rtk --rover rover.obs --base base.obs --nav base.nav --out out/rtk
     """
     _limit_blas_threads()
-    from lanebound.agents.cli.output import print_json
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
@@ -162,7 +164,6 @@ def rtk(
 def _solve(out: Path, kind: str, work: Callable[[Progress], T]) -> T:
     """The result of ``work``, which writes into a folder of its kind and reports the epochs that are solved."""
     from lanebound.agents.checkpointing.folder import ResultFolder
-    from lanebound.agents.cli.progress import resumable, with_bar
 
     start = time.time()
     ResultFolder(out, kind).claim()
@@ -209,8 +210,6 @@ def record_sky(
 
     Example: lanebound record-sky data/smartloc_berlin_potsdamer --out berlin.csv
     """
-    from lanebound.agents.cli.output import print_json
-    from lanebound.agents.cli.progress import resumable, wait_for
     from lanebound.integrity.core.errors import ConfigError
     from lanebound.integrity.replay.city import read_city
     from lanebound.integrity.replay.sky_record import SkyRecordConfig, summary
@@ -232,7 +231,6 @@ def record_sky(
 
 
 def _print_sky(found: dict[str, Any]) -> None:
-    from lanebound.agents.cli.output import print_table
 
     rows = [("length m", found["length_m"]), ("satellites", found["satellites"]), ("rows", found["rows"])]
     rows += [(f"{kind}, share of rows", share) for kind, share in found["shares"].items()]
@@ -256,7 +254,6 @@ def _print_files(stopped: Any, written: list[Path], doubt: str | None = None) ->
 
 
 def _print_city(found: dict[str, Any]) -> None:
-    from lanebound.agents.cli.output import print_table
 
     rows = []
     for name, solution in found["solutions"].items():
@@ -278,7 +275,6 @@ def _print_city(found: dict[str, Any]) -> None:
 
 
 def _print_outages(found: dict[str, Any]) -> None:
-    from lanebound.agents.cli.output import print_table
 
     head = ("age s", "axis", "outages", "median error m", "largest m", "median PL m", "above PL")
     rows = [
@@ -314,7 +310,6 @@ def _lag_text(lag_s: float | None, corrected: bool) -> str:
 
 
 def _print_service(found: dict[str, Any]) -> None:
-    from lanebound.agents.cli.output import print_table
 
     rows = [(key, found[key]) for key in ("epochs", "judged", "reference")]
     rows += [(f"epochs by {mode}", count) for mode, count in found["modes"].items()]
@@ -349,7 +344,6 @@ def _share(value: float | None) -> str:
 
 
 def _print_context(found: dict[str, Any]) -> None:
-    from lanebound.agents.cli.output import print_table
 
     rows = [(key, found[key]) for key in ("recording", "epochs", "located", "matched")]
     rows += [(f"map, {key}", value) for key, value in found["roads"].items()]
@@ -374,7 +368,6 @@ def _print_context(found: dict[str, Any]) -> None:
 
 
 def _print_filter(found: dict[str, Any]) -> None:
-    from lanebound.agents.cli.output import print_table
 
     rows = [(key, found[key]) for key in ("epochs", "with_truth", "with_level", "first_level_s")]
     rows += [(f"positions {key}", value) for key, value in found["positions"].items()]
@@ -395,13 +388,172 @@ def _print_filter(found: dict[str, Any]) -> None:
 
 
 def _print_inertial(found: dict[str, Any]) -> None:
-    from lanebound.agents.cli.output import print_table
 
     print_table("The sensor in the vehicle", ("", "value"), list(found["calibration"].items()))
     _print_outages(found)
+
+
+MOST_HALVES = 0.2  # share of phases that may be off by half a cycle
+
+
+def print_rtk(found: dict[str, Any]) -> None:
+    """Print statistics, notes on the inputs, and errors where the true position is known."""
+
+    keys = (
+        "epochs", "fixed", "fixed_share", "first_fix_s", "satellites_median", "excluded", "wrong_fix_risk_max",
+        "base_from_header_m", "base_from_codes_m", "rover_from_codes_m",
+    )  # fmt: skip
+    rows = [(key, found[key]) for key in keys if key in found] + [
+        (f"epochs {name}", n) for name, n in found["status"].items() if n
+    ]
+    print_table("RTK", ("", "value"), rows)
+    _print_rtk_notes(found)
+    errors = found.get("errors", {})
+    if errors:
+        head = ("epochs", "axis", "n", "largest horizontal m", "above PL", "exact 95 % interval", "median PL m")
+        print_table("Errors", head, [row for name in errors for row in _bounding_rows(name, errors[name])])
+        typer.echo(found["caution"])
+
+
+def _print_rtk_notes(found: dict[str, Any]) -> None:
+    """Print why epochs are not fixed, and what seems wrong with the inputs."""
+    from lanebound.integrity.positioning.modes import RtkStatus
+
+    place = ",".join(f"{value:.3f}" for value in found["base_antenna_ecef_m"])
+    typer.echo(
+        f"Positions and levels are relative to the base at {place}, from {found['base_antenna_from']}: an error of it "
+        "is an error of every position, and in no level"
+    )
+    for name, count in found["status"].items():
+        if count and name == "not_converged":
+            typer.echo(f"not_converged: {found['not_converged']['what']}")
+        elif count and name != "fixed":
+            typer.echo(f"{name}: {RtkStatus[name.upper()].value}")
+    _print_place_notes(found)
+    for name, share in found["half_cycle_share"].items():
+        if share > MOST_HALVES:
+            typer.echo(
+                f"note: {100.0 * share:.0f} % of the phases of the {name} may be off by half a cycle by their flags, "
+                "and are not used",
+                err=True,
+            )
+
+
+def _print_place_notes(found: dict[str, Any]) -> None:
+    """Print where given positions do not fit the codes of a receiver, or the fixed baseline."""
+    from lanebound.integrity.replay.code_places import NEAR_M
+
+    given = found["positions_given_by"]
+    remedy = "correct" if found["base_antenna_from"] == given["base"] else "give"
+    places = (
+        ("base", f"positions may be wrong by as much, {remedy} {given['base']} of its antenna"),
+        ("rover", f"errors may be wrong by as much, correct {given['rover']} of its antenna"),
+    )
+    for name, what in places:
+        away = found.get(f"{name}_from_codes_m") or 0.0
+        if away > NEAR_M:
+            typer.echo(
+                f"note: the {name} is {away:.0f} m from where its own codes put it, which are good to about 10 m: "
+                f"{what}",
+                err=True,
+            )
+    fit = found.get("fixed_baseline")
+    if fit is not None and fit["likely"] is not None:
+        typer.echo(f"note: the fixed baseline is {fit['off_m']:.2f} m from that of the two positions: {_likely(found)}",
+                   err=True)  # fmt: skip
+
+
+def _likely(found: dict[str, Any]) -> str:
+    fit, given = found["fixed_baseline"], found["positions_given_by"]
+    if fit["likely"] == "swapped":
+        return (
+            f"they are probably swapped, exchanged they are {fit['off_swapped_m']:.2f} m from it; exchange "
+            f"{given['base']} and {given['rover']}, or the files of rover and base"
+        )
+    return (
+        f"one of them is probably wrong by as much, check {given['rover']} and that of the base, from "
+        f"{found['base_antenna_from']}; less likely, integers are wrong"
+    )
+
+
+def _bounding_rows(name: str, found: dict[str, Any]) -> list[list[Any]]:
+    return [
+        [
+            name, axis, found[axis]["epochs"], found.get("horizontal_max_m"), found[axis]["exceeded"],
+            f"{found[axis]['rate_low']:.2g} to {found[axis]['rate_high']:.2g}", found[axis]["pl_median_m"],
+        ]
+        for axis in ("at", "ct")
+    ]  # fmt: skip
 
 
 _PRINTERS = {
     "context": _print_context, "service": _print_service, "filter": _print_filter, "smartloc": _print_city,
     "comma2k19": _print_outages, "imu_log": _print_inertial, "rinex": print_rtk,
 }  # fmt: skip
+
+
+AFTER_S = 60.0  # of the drifts, S4 section II-C5
+
+
+def fit_imu(
+    log: Annotated[
+        Path,
+        typer.Argument(metavar="LOG", help="CSV with a head: time since switch-on [s], then accelerations [m/s^2]."),
+    ],
+    as_json: AsJson = False,
+) -> None:
+    """Fit C1 (1 - exp(-t / tau)) + C2 to each acceleration of a static log, without gravity (S4 section II-C5).
+
+    The drifts are the position after the first 60 s from rest, with the error as it is and with the fitted law removed.
+    Sigmas are those of white noise. A log that does not show a warm-up is fitted by a constant, and the reason printed:
+    S4's sensor needs some 1,000 s.
+
+    Set the result with --set navigator.imu.mems_exponential=true and navigator.imu.mems_c1_mps2, mems_c2_mps2,
+    mems_tau_s.
+
+    Example: lanebound fit-imu static.csv
+    """
+    from lanebound.integrity.sensors.inertial_law import PUBLISHED, read_static_log
+
+    time_s, columns, note = read_static_log(log)
+    if note:
+        typer.echo(f"note: {log}: {note}", err=True)
+    found = {name: _fitted(time_s, column) for name, column in columns.items()}
+    if as_json:
+        print_json(found)
+        return
+    keys = (
+        "c1_mps2",
+        "c1_sigma_mps2",
+        "c2_mps2",
+        "c2_sigma_mps2",
+        "tau_s",
+        "tau_sigma_s",
+        "mean_mps2",
+        "std_mps2",
+        "drift_before_m",
+        "drift_after_m",
+    )
+    rows = [(key, *(f"{values[key]:.5g}" if values[key] is not None else "-" for values in found.values()))
+            for key in keys]  # fmt: skip
+    print_table("Error of accelerometers", ("", *found), rows)
+    for name, values in found.items():
+        if values["constant"] is not None:
+            typer.echo(f"{name}: a constant is fitted; {values['constant']}.")
+    typer.echo(f"S4: C1 -0.0043, C2 -0.007, tau 500; it states 55 m of drift before and 0.7 m after. Its law drifts by "
+               f"{abs(float(PUBLISHED.drift_m(AFTER_S))):.1f} m in 60 s.")  # fmt: skip
+
+
+def _fitted(time_s: NDArray[np.float64], column: NDArray[np.float64]) -> dict[str, Any]:
+    from lanebound.integrity.sensors.inertial_law import drift_m, fit_inertial_law
+
+    fit = fit_inertial_law(time_s, column)
+    law, shown = fit.law, fit.reason is None
+    left, long = column - law.error_mps2(time_s), time_s[-1] - time_s[0] >= AFTER_S
+    return {
+        "c1_mps2": law.c1_mps2, "c1_sigma_mps2": fit.sigma[0] if shown else None,
+        "c2_mps2": law.c2_mps2, "c2_sigma_mps2": fit.sigma[1], "tau_s": law.tau_s if shown else None,
+        "tau_sigma_s": fit.sigma[2] if shown else None, "constant": fit.reason, "mean_mps2": float(left.mean()),
+        "std_mps2": float(left.std()), "drift_before_m": drift_m(time_s, column, AFTER_S) if long else None,
+        "drift_after_m": drift_m(time_s, left, AFTER_S) if long else None,
+    }  # fmt: skip

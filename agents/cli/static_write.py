@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lanebound.agents.cli.envs import facts
+from lanebound.agents.cli.listing import facts
 from lanebound.agents.cli.static import TABLE, StaticTable
 from lanebound.agents.episodes.opening import open_env
 from lanebound.envs.config import FaultLevel
@@ -18,8 +18,6 @@ from lanebound.envs.sky import SKIES
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
-
-__all__ = ["made", "text_of"]
 
 ROOTS = {
     "environment": "lanebound.envs.config:EnvConfig",

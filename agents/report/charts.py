@@ -18,39 +18,15 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from lanebound.agents.benchmark.results import Paired
-from lanebound.agents.report.numbers import interval, plain, shorten, signed
+from lanebound.agents.report.style import interval, plain, shorten, signed
 from lanebound.envs.costs import CAUSES
-from lanebound.integrity.assessment.events import Zone
-from lanebound.integrity.assessment.plotting import mode_colour
-from lanebound.integrity.assessment.record import AXES, Axis, Record
-from lanebound.integrity.assessment.stanford import ZoneCounts, count_zones
+from lanebound.integrity.assessment.plotting import ZoneCounts, count_zones, mode_colour
+from lanebound.integrity.assessment.record import AXES, Axis, Record, Zone
 from lanebound.integrity.positioning.modes import Mode
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = [
-    "AXIS_NAMES",
-    "Box",
-    "CostBar",
-    "EpisodeTrace",
-    "ParetoAxis",
-    "ParetoPoint",
-    "colour",
-    "forest",
-    "front",
-    "new_axes",
-    "new_figure",
-    "pareto",
-    "share_text",
-    "span",
-    "spread_out",
-    "stacked",
-    "stanford",
-    "to_svg",
-    "trace",
-]
 
 VARIABLES = (
     "ink", "soft", "grid", "card", "ground", "better", "worse", "level", "limit", "error", "alert", "dense",

@@ -6,12 +6,11 @@ import csv
 from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["Table", "csv_of", "fill", "require_page", "text_of"]
-
-Table = tuple[Sequence[str], Sequence[Sequence[str]]]
+Table = tuple[Sequence[str], Sequence[Sequence[Any]]]
 """Heads of the columns, and rows."""
 
 

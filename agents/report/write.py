@@ -28,15 +28,19 @@ from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
 from lanebound.agents.benchmark.store import CLIPS, EpisodeStore, source_digest
 from lanebound.agents.benchmark.verdicts import limits_of_other_skies, opening
 from lanebound.agents.checkpointing.files import replace_file
-from lanebound.agents.report.commands import replay_command
-from lanebound.agents.report.episodes import badness, what_happened, worst_of
-from lanebound.agents.report.style import Actor, actors_of, title_of
-from lanebound.agents.report.tables import head_of, means_table, overviews
-from lanebound.agents.report.views import causes, view_of
+from lanebound.agents.report.style import Actor, actors_of, replay_command, title_of
+from lanebound.agents.report.views import (
+    badness,
+    causes,
+    head_of,
+    means_table,
+    overviews,
+    view_of,
+    what_happened,
+    worst_of,
+)
 from lanebound.integrity.assessment.plotting import mode_colour
 from lanebound.integrity.positioning.modes import Mode
-
-__all__ = ["NAME", "Clip", "film_clip", "render", "shrink", "write_report"]
 
 LAST_S = 12.0  # of the episode
 WIDTH_PX = 960

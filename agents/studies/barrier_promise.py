@@ -19,40 +19,25 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from lanebound.agents.checkpointing.files import write_json
-from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
-from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.drivers.barrier import BarrierConfig, BarrierFilter
 from lanebound.agents.drivers.nominal import make_nominal
 from lanebound.agents.episodes import drive, open_env
 from lanebound.agents.episodes.columns import Moment
+from lanebound.agents.studies.study import Shown, claim, parts_of, stored
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import alert_limits_m, navigator_config
-from lanebound.integrity.assessment.bounding import clopper_pearson
+from lanebound.integrity.assessment.accuracy import clopper_pearson
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sensors.fault_registry import fault_kind
 from lanebound.integrity.sensors.faults import Fault
 from lanebound.integrity.sky.systems import System
-
-__all__ = [
-    "ASSUMPTIONS",
-    "BarrierPromiseConfig",
-    "PromiseWatch",
-    "Reckless",
-    "barrier_m",
-    "exceptions_of",
-    "levels_m",
-    "one_fault",
-    "run_promise",
-    "summarise_promise",
-]
 
 ROUNDING_M = 1e-3  # observations are float32 of quantities up to 150 m
 ROUNDING_MPS2 = 1e-6
@@ -362,15 +347,13 @@ def run_promise(
     InputError
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
-    ResultFolder(out, "barrier promise study", config.to_dict(), code_digest(*PACKAGES)).claim()
+    claim(out, "barrier promise study", config, PACKAGES)
     names = {group: [_name(group, seeds) for seeds in _batches(config)] for group in GROUPS}
     ordered = [name for batch in zip(*names.values(), strict=True) for name in batch]
-    drive_one = partial(drive_named, config)
-    found = run_parts(out, ordered, drive_one, jobs, on_progress, size=lambda name: len(_seeds(name)))
+    found = parts_of(config, drive_named, ordered, out, jobs, on_progress, size=lambda name: len(_seeds(name)))
     result = {group: summarise_promise([found[name] for name in names[group]]) for group in GROUPS}
     result["one fault"]["by_fault"] = _by_fault(config, result["one fault"]["crashed_seeds"])
-    write_json(out / "promise.json", result)
-    return result
+    return stored(result, out, "promise.json")
 
 
 def _by_fault(config: BarrierPromiseConfig, crashed: Sequence[int]) -> dict[str, dict[str, Any]]:
@@ -434,3 +417,34 @@ def summarise_promise(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "filter": dict(sorted(filtered.items())),
         "breaches": [breach for part in parts for breach in part["breaches"]],
     }
+
+
+def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
+    """Counts and rates of the groups, and crashes by the fault that was injected."""
+    groups = list(result)
+    named = sorted({name for group in result.values() for name in group["exceptions"]})
+    counted = (
+        ("counts", "", ("decisions", "kept", "broken", "exceptional", "lost", "unsafe starts")),
+        ("exceptions", "exceptions: ", named),
+        ("filter", "", ("following infeasible", "lane slack", "lane infeasible")),
+    )
+    rows = [("episodes", *(result[g]["episodes"] for g in groups))]
+    rows += [
+        (f"{head}{key}", *(result[g][kind].get(key, 0) for g in groups)) for kind, head, keys in counted for key in keys
+    ]
+    for key in ("crashes", "integrity_risk", "level_exceeded_per_decision", "barrier_lost_per_decision"):
+        rows.append((key.replace("_", " "), *(result[g][key] for g in groups)))
+    rows.append(("crashes, 95 %", *(_interval(result[g]["crash_share_95"]) for g in groups)))
+    least = (result[g]["least_barrier_m"] for g in groups)
+    rows.append(("least barrier [m]", *("-" if value is None else f"{value:.3f}" for value in least)))
+    yield "The barrier's promise, by faults injected", (("", *groups), rows)
+    crashes = [
+        (kind.replace("_", " "), str(of["episodes"]), str(of["crashes"]), _interval(of["crash_share_95"]))
+        for kind, of in result["one fault"]["by_fault"].items()
+    ]
+    yield "Crashes by the fault that was injected", (("fault", "episodes", "crashes", "share, 95 %"), crashes)
+    yield "broken: the barrier went negative by a decision for which every assumption held; none may be."
+
+
+def _interval(share: Sequence[float]) -> str:
+    return f"{100.0 * share[0]:.1f} to {100.0 * share[1]:.1f} %"

@@ -10,7 +10,7 @@ rate: intervals are the exact ones of the count, widened where that spread is la
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,48 +18,31 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.checkpointing.files import write_json
-from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
-from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.integrity.assessment.bounding import clopper_pearson
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
+from lanebound.agents.report.pages import Table
+from lanebound.agents.studies.study import Shown, claim, parts_of, stored
+from lanebound.integrity.assessment.accuracy import clopper_pearson
 from lanebound.integrity.assessment.drift_model import DriftConfig, Outage, drift_exceedance
 from lanebound.integrity.assessment.exceedance import (
-    STRATA,
-    ExceedanceCounts,
-    expected_fault_free,
-    least_fault_free,
-    tally,
-)
-from lanebound.integrity.assessment.importance import (
     DRAWN,
+    STRATA,
+    Case,
+    ExceedanceCounts,
     FaultSize,
+    Form,
+    Prepared,
+    draw_case,
+    expected_fault_free,
     expected_one_fault,
     importance_rates,
+    least_fault_free,
     mean_and_deviation,
+    prepare,
+    tally,
 )
-from lanebound.integrity.assessment.measurement_model import Case, Form, Prepared, draw_case, prepare
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.risk import RiskConfig, pair_risk, upper_quantile
-
-__all__ = [
-    "PLACES",
-    "BoundingConfig",
-    "Table",
-    "assess_bounding",
-    "drift_rows",
-    "form_rows",
-    "part_names",
-    "place_rows",
-    "rare_place_rows",
-    "rare_rows",
-    "rate_of",
-    "rate_over",
-    "strata_rows",
-    "summarise",
-    "tightness_rows",
-    "work_part",
-]
 
 Array = NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -260,8 +243,7 @@ def _summary_drift(outages: Sequence[Row], risks: Sequence[float]) -> dict[str, 
     return out
 
 
-Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
-
+SIZES = {"worst": "the size that misleads most", "uniform": "any size up to twice the threshold's"}
 ESTIMATE = ("no fault", "one fault", "rate", "sd draws", "sd geometries")
 
 
@@ -353,6 +335,25 @@ def drift_rows(result: Mapping[str, Any]) -> Table:
     return ("source and form", *risks), rows
 
 
+def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
+    """All tables, as far as their parts were drawn."""
+    if "rates" in result:
+        title = f"Misleading epochs, of {result['axis_epochs']:,} axis epochs: rate of either axis over the risk, 95 %"
+        yield title, form_rows(result)
+        yield "Of these, by what there was: misleading epochs on either axis", strata_rows(result)
+        yield "The same by place, at the least risk counted: rate over the risk", place_rows(result)
+        yield "Levels over the least that would have held without faults, median", tightness_rows(result)
+    if "rare" in result:
+        size, most = SIZES[result["config"]["rare_sizes"]], result["rare"]["spent"]["largest"]
+        yield f"By importance sampling: rate of one axis; faults have {size}", rare_rows(result)
+        yield f"Not drawn: two faults and wrong fixes, at most so often on either axis ({most:.2e} in one geometry)."
+        risk = f"{result['config']['rare_risk']:g}"
+        yield f"The exact root at {risk} by biases: rate of one axis", rare_place_rows(result)
+    if "drift" in result:
+        yield "Between fixes: error beyond the level at the end of an outage, either axis", drift_rows(result)
+    yield "A rate over the risk above 1 breaks the promise."
+
+
 PACKAGES = ("lanebound.integrity", "lanebound.agents.studies")
 CASES_IN_PART = 10
 OUTAGES_IN_PART = 4
@@ -404,11 +405,9 @@ def assess_bounding(
     InputError
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
-    ResultFolder(out, "bounding assessment", config.to_dict(), code_digest(*PACKAGES)).claim()
-    parts = run_parts(out, part_names(config), partial(work_part, config), jobs, on_progress)
-    result = summarise(config.to_dict(), parts)
-    write_json(out / "results.json", result)
-    return result
+    claim(out, "bounding assessment", config, PACKAGES)
+    parts = parts_of(config, work_part, part_names(config), out, jobs, on_progress)
+    return stored(summarise(config.to_dict(), parts), out)
 
 
 def part_names(config: BoundingConfig) -> list[str]:

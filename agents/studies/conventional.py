@@ -9,7 +9,7 @@ The sky whose share of usable satellites comes nearest to the recorded one is co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -17,23 +17,24 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.checkpointing.files import write_json
-from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
+from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.in_the_loop import rate_by_street, rate_cell
-from lanebound.agents.studies.street_drives import PACKAGES, StreetDrivesConfig, street_of, work_streets
+from lanebound.agents.studies.street_drives import StreetDrivesConfig, street_of, work_streets
+from lanebound.agents.studies.study import Shown, stored
 from lanebound.integrity.assessment.accuracy import find_outages
 from lanebound.integrity.assessment.conventional_rtk import (
     ConventionalRtkConfig,
     ConventionalSolution,
+    KinematicConfig,
+    KinematicFilter,
     RtkOutcome,
+    RtkSignals,
     solve_epoch,
 )
-from lanebound.integrity.assessment.double_differences import RtkSignals
-from lanebound.integrity.assessment.kinematic_rtk import KinematicConfig, KinematicFilter
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
+from lanebound.integrity.core.frames import enu_axes, track_from_enu_matrix
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.rtklib import FIXED, FLOAT, read_reference, read_rtk_solution
@@ -41,22 +42,8 @@ from lanebound.integrity.replay.sensor_checks import require_same_times
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
-__all__ = [
-    "WRONG_M",
-    "RtkRealismConfig",
-    "assess_rtk",
-    "changes",
-    "figures",
-    "navigator_rows",
-    "rtk_rows",
-    "sky_rows",
-    "without_offsets",
-    "work_street",
-]
-
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 Bools = NDArray[np.bool_]
 
@@ -234,14 +221,11 @@ def assess_rtk(
         The folder holds no solution with its reference, or ``out`` cannot be claimed.
     """
     recorded = recorded_figures(folder)
-    ResultFolder(out, "realism of RTK", config.to_dict(), code_digest(*PACKAGES)).claim()
-    found = work_streets(config, config.streets, work_street, out, jobs, on_progress)
+    found = work_streets(config, "realism of RTK", config.streets, work_street, out, jobs, on_progress)
     skies = {sky: simulated_figures(streets) for sky, streets in found.items()}
     shares = {sky: one["satellites"]["share"] for sky, one in skies.items()}
     nearest = min(shares, key=lambda sky: abs(shares[sky] - recorded["satellites"]["share"]))
-    result = {"config": config.to_dict(), "recorded": recorded, "skies": skies, "nearest": nearest}
-    write_json(out / "results.json", result)
-    return result
+    return stored({"config": config.to_dict(), "recorded": recorded, "skies": skies, "nearest": nearest}, out)
 
 
 def recorded_figures(folder: Path) -> dict[str, Any]:
@@ -264,8 +248,7 @@ def recorded_figures(folder: Path) -> dict[str, Any]:
     if not known.any():
         raise InputError(f"{SOLUTION} and {REFERENCE} of {folder} must overlap in time, do not: use files of one drive")
     require_same_times(SOLUTION, time_s, solution.position_ecef_m, truth.tow_s, truth.position_ecef_m)
-    latitude, longitude, _ = geodetic_from_ecef(truth.position_ecef_m[0])
-    axes = ecef_from_enu_matrix(latitude, longitude)
+    axes = enu_axes(truth.position_ecef_m[0])
     off = (solution.position_ecef_m[at] - truth.position_ecef_m) @ axes
     quality = np.where(known, solution.quality[at], 0)
     outcome = np.select([quality == FIXED, quality == FLOAT], [int(RtkOutcome.FIXED), int(RtkOutcome.FLOAT)], 0)
@@ -388,3 +371,11 @@ def navigator_rows(result: Mapping[str, Any]) -> Table:
             cells[1] = "-"
         rows.append((sky, f"{n['epochs']:,}", f"{100.0 * n['rtk_share']:.1f} %", str(n["wrong_rtk"]), *cells))
     return ("sky", "epochs", "RTK", f"RTK {WRONG_M:g} m off", "beyond over risk", "the same of RTK"), rows
+
+
+def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
+    """All skies, the nearest next to the recording, and the navigator on the same signals."""
+    yield "Satellites that conventional RTK can use, by sky", sky_rows(result)
+    title = f"The sky nearest in usable satellites ({result['nearest']}) next to the recording"
+    yield title, rtk_rows(result)
+    yield "The navigator on the same signals: epochs beyond a level, 95 % by street", navigator_rows(result)

@@ -27,7 +27,6 @@ from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.statistics import Estimate, estimate
 from lanebound.agents.benchmark.suite import SPLITS
 from lanebound.agents.checkpointing.files import make_folder, read_json, write_json
-from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes.opening import full_id
@@ -35,6 +34,7 @@ from lanebound.agents.learning.evaluation import drive_all
 from lanebound.agents.learning.experiment import ExperimentConfig, load_experiment
 from lanebound.agents.learning.training import load_model, one_thread, train
 from lanebound.agents.report.pages import Table
+from lanebound.agents.studies.study import claim, stored
 from lanebound.envs import make_config
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError
@@ -42,19 +42,7 @@ from lanebound.integrity.core.errors import ConfigError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "BESIDE",
-    "SECTIONS",
-    "SHOWN",
-    "CurvesConfig",
-    "curves_figure",
-    "experiment_of",
-    "run_curves",
-    "save_curves",
-    "tables",
-]
-
-BESIDE = {"nominal": "#9A9A9A", "ppo": "#D55E00"}
+COMPARED = {"nominal": "#9A9A9A", "ppo": "#D55E00"}
 """Drivers that the policy is compared with, and their colours; ``ppo`` is the shipped policy."""
 LEARNT, OWN = "learnt", "#0072B2"
 SHOWN = ("return", "cost", "over_cost_limit", "success", "mean_speed")
@@ -143,13 +131,9 @@ def run_curves(config: CurvesConfig, out: Path, on_progress: OnProgress = ignore
     """
     for env in config.envs:
         experiment_of(config, env)
-    fixed = {**config.to_dict(), "envs": None, "ids": dict.fromkeys(config.envs, True)}
-    source = code_digest(*PACKAGES)
-    ResultFolder(out, "learning curves", config.to_dict(), source, fixed=fixed, growing=("ids",)).claim()
+    claim(out, "learning curves", config, PACKAGES, "ids", config.envs)
     parts = run_parts(out, list(config.envs), partial(_learn, config, out), 1, on_progress)
-    found = {"config": config.to_dict(), "ids": parts}
-    write_json(out / "results.json", found)
-    return found
+    return stored({"config": config.to_dict(), "ids": parts}, out)
 
 
 def _learn(config: CurvesConfig, out: Path, env: str, advance: Advance) -> dict[str, Any]:
@@ -177,7 +161,7 @@ def _learn(config: CurvesConfig, out: Path, env: str, advance: Advance) -> dict[
         model = load_model(out / "trainings" / env / "last.zip", planned.algorithm)
         rest = config.held_out(config.final_seeds)
         with closing(planned.open()) as single:
-            drivers: dict[str, Any] = {LEARNT: model, **{name: make_agent(name, single) for name in BESIDE}}
+            drivers: dict[str, Any] = {LEARNT: model, **{name: make_agent(name, single) for name in COMPARED}}
         final = {}
         for n, (name, driver) in enumerate(drivers.items()):
             final[name] = _kept(folder / f"{name}.json", partial(drive_all, planned, driver, rest))
@@ -272,7 +256,7 @@ def curves_figure(found: Mapping[str, Any]) -> Figure:
             high = [point.mean if point.high is None else point.high for point in points]
             axis.fill_between(steps, low, high, color=OWN, alpha=0.15, linewidth=0)
             axis.plot(steps, means, color=OWN, marker="o", markersize=3, linewidth=1.4, label=LEARNT)
-            for name, colour in BESIDE.items():
+            for name, colour in COMPARED.items():
                 level = _estimate(part["final"][name], key).mean
                 axis.axhline(level, color=colour, linewidth=1.2, linestyle="--", label=name)
             if key == "cost":

@@ -32,8 +32,6 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
-__all__ = ["FACTORS", "Response", "Run", "as_broadcast", "detectability", "drive_run", "measure_response"]
-
 Array = NDArray[np.float64]
 
 

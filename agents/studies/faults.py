@@ -7,26 +7,29 @@ satellite signals, and whether it changes what the vehicle broadcasts: then the 
 
 The campaign also compares the power of detection and exclusion with theory, by the size of a bias
 (:mod:`.fault_response`).
+
+Figures of the fault campaign: by kind and size, how often a fault is noticed and how often it misleads.
 """
 
 from __future__ import annotations
 
 import hashlib
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from pydantic import field_validator
 from scipy.stats import chi2
 
-from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.agents.studies.bounding import Table, rate_of, rate_over
+from lanebound.agents.report.pages import Table
+from lanebound.agents.studies.bounding import rate_of, rate_over
 from lanebound.agents.studies.fault_response import (
     Response,
     Run,
@@ -35,6 +38,7 @@ from lanebound.agents.studies.fault_response import (
     drive_run,
     measure_response,
 )
+from lanebound.agents.studies.study import Shown, stored
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.navigators.navigator import NavigatorConfig
@@ -44,18 +48,6 @@ from lanebound.integrity.sensors.fault_registry import BUILT_IN, KindName, fault
 from lanebound.integrity.sensors.faults import Fault
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.track import SkyTrack
-
-__all__ = [
-    "FaultCase",
-    "FaultsConfig",
-    "assess_faults",
-    "cells_of",
-    "consistency_rows",
-    "control_lines",
-    "fault_rows",
-    "theory_rows",
-    "work_cell",
-]
 
 
 def fault_rows(result: Mapping[str, Any]) -> Table:
@@ -130,6 +122,15 @@ def control_lines(result: Mapping[str, Any]) -> list[str]:
         f"Satellites excluded without a fault: {share('excluded')}; allocated {allocated}.",
         f"Alerts without a fault: {share('alerts')}. Error beyond its level: {share('misleading')}.",
     ]
+
+
+def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
+    """The responses to all faults, the drive without faults, and theory."""
+    noticed = "Faults: vehicles that noticed while it lasted, or once it was over"
+    yield f"{noticed}, and what it did to them from its onset on", fault_rows(result)
+    yield "Without faults: consistency of the position by mode", consistency_rows(result)
+    yield "A bias of one satellite against theory; without one what is noticed is false", theory_rows(result)
+    yield from control_lines(result)
 
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.studies")
@@ -229,7 +230,6 @@ def assess_faults(config: FaultsConfig, out: Path, jobs: int = 1, on_progress: O
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files; or worker processes
         cannot import the effect function of a registered kind.
     """
-    from lanebound.agents.studies.faults_figure import detectability_figure, faults_figure
     from lanebound.integrity.assessment.plotting import save
 
     registered = tuple(fault_kind(name) for name in config.kinds if name not in BUILT_IN)
@@ -241,11 +241,10 @@ def assess_faults(config: FaultsConfig, out: Path, jobs: int = 1, on_progress: O
     parts = run_parts(out, [*cells, "control", *theory], partial(work_part, config, registered), jobs, on_progress)
     faults, powers = [parts[name] for name in cells], [parts[name] for name in theory]
     result = {"config": config.to_dict(), "control": parts["control"], "theory": powers, "faults": faults}
-    write_json(out / "results.json", result)
     save(faults_figure(faults), out / "faults.svg")
     if powers:
         save(detectability_figure(powers), out / "detectability.svg")
-    return result
+    return stored(result, out)
 
 
 def _require_importable(kinds: Sequence[FaultKind]) -> None:
@@ -422,3 +421,59 @@ def _consistency(run: Run, here: np.ndarray) -> dict[str, Any] | None:
             axis: float(np.median(level[:, a]) / size[:, a].max()) for a, axis in enumerate(("along", "across"))
         },
     }
+
+
+COLUMNS = 4
+SHOWN = {"noticed": "noticed while it lasts", "misled_vehicles": "error above its level"}
+
+
+def faults_figure(cells: Sequence[Mapping[str, Any]]) -> Figure:
+    """Shares of vehicles by size of the fault, all lengths together: steps drawn through, ramps dashed."""
+    kinds = list(dict.fromkeys(cell["kind"] for cell in cells))
+    rows = -(-len(kinds) // COLUMNS)
+    figure = Figure(figsize=(3.2 * COLUMNS, 2.6 * rows), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, COLUMNS, squeeze=False).ravel())
+    for axis, kind in zip(axes, kinds, strict=False):
+        here = [cell for cell in cells if cell["kind"] == kind]
+        sizes = sorted({cell["size"] for cell in here})
+        for profile, line in (("step", "o-"), ("ramp", "^--")):
+            for name, colour in (("noticed", "tab:green"), ("misled_vehicles", "tab:red")):
+                shares = [_share(here, size, profile, name) for size in sizes]
+                if None not in shares:
+                    axis.plot(range(len(sizes)), shares, line, color=colour, label=f"{SHOWN[name]}, {profile}")
+        unit = f" [{here[0]['unit']}]" if here[0]["unit"] else ""
+        axis.set_title(kind.replace("_", " ") + unit, fontsize=9)
+        axis.set_xticks(range(len(sizes)), [f"{size:g}" if size else "" for size in sizes])
+        axis.set_ylim(-0.05, 1.05)
+    for axis in axes[len(kinds) :]:
+        axis.set_axis_off()
+    axes[0].set_ylabel("share of vehicles")
+    axes[0].legend(fontsize=7)
+    return figure
+
+
+def _share(cells: Sequence[Mapping[str, Any]], size: float, profile: str, name: str) -> float | None:
+    """Mean share of vehicles in the cells of a size and profile; None without any."""
+    found = [cell[name]["rate"] for cell in cells if (cell["size"], cell["profile"]) == (size, profile)]
+    return float(np.mean(found)) if found else None
+
+
+def detectability_figure(powers: Sequence[Mapping[str, Any]]) -> Figure:
+    """Theory and what detection and exclusion do, by the size of a bias; a panel for each number of satellites."""
+    figure = Figure(figsize=(4.2 * len(powers), 3.4), layout="constrained")
+    for axis, found in zip(np.atleast_1d(figure.subplots(1, len(powers), squeeze=False).ravel()), powers, strict=True):
+        rows = found["by_factor"]
+        factor = [row["factor"] for row in rows]
+        axis.plot(factor, [row["theory"] for row in rows], "k-", label="its own test, theory")
+        for key, mark, label in (
+            ("own", "k+", "its own test"),
+            ("noticed", "g^-", "noticed"),
+            ("right", "bv-", "excluded"),
+        ):
+            axis.plot(factor, [row[key]["rate"] for row in rows], mark, label=label)
+        axis.set_title(f"{found['satellites']} satellites, redundancy {found['redundancy']}", fontsize=9)
+        axis.set_xlabel("bias over the minimal detectable one")
+        axis.set_ylim(-0.05, 1.05)
+        axis.set_ylabel("share of epochs")
+        axis.legend(fontsize=8)
+    return figure

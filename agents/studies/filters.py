@@ -6,8 +6,7 @@ the filter is better than it states. The figures are S4's 7 to 21.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -17,21 +16,24 @@ from pydantic import model_validator
 from scipy.stats import t as student
 from scipy.stats import ttest_rel, wilcoxon
 
-from lanebound.agents.checkpointing.files import write_json
-from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
-from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.agents.studies.filter_faults import FAULTS, work_fault
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
+from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.filter_scenarios import (
     AXLE_M,
     CURVED,
     EQUIPMENT,
+    FAULTS,
     SCENARIOS,
     SHARP,
     WIDE,
     Scenario,
     disturbed,
+    fault_rows,
+    law_rows,
+    work_fault,
     work_law,
 )
+from lanebound.agents.studies.study import Shown, claim, parts_of, stored
 from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_figure, save, tidy
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError
@@ -47,17 +49,6 @@ from lanebound.integrity.sensors.instruments import Measurements
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = [
-    "MARGIN_M",
-    "Consistency",
-    "FiltersConfig",
-    "paired",
-    "run_filters",
-    "save_figures",
-    "sharp_rows",
-    "table_rows",
-]
 
 Array = NDArray[np.float64]
 
@@ -218,7 +209,7 @@ def paired(name: str, more: Array, less: Array) -> dict[str, Any]:
     }
 
 
-PACKAGES = ("lanebound.integrity", "lanebound.agents.studies", "lanebound.agents.studies")
+PACKAGES = ("lanebound.integrity", "lanebound.agents.studies")
 FAULT, SENSORS, LAW = "fault ", "sensors ", "law"
 """What names of parts begin with: faults, scenario 10 with better sensors, and the fit of static logs."""
 SHARPEST = "10"
@@ -257,11 +248,11 @@ def run_filters(config: FiltersConfig, out: Path, on_progress: OnProgress = igno
     InputError
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
-    ResultFolder(out, "filter study", config.to_dict(), code_digest(*PACKAGES)).claim()
+    claim(out, "filter study", config, PACKAGES)
     faults = [FAULT + name for name in FAULTS] if config.vehicles else []
     sharp = [SENSORS + name for name in SHARP] if SHARPEST in config.scenarios and not config.as_s4 else []
     parts = [*config.scenarios, *sharp, *faults, LAW]
-    found = run_parts(out, parts, partial(work_part, config), 1, on_progress)
+    found = parts_of(config, work_part, parts, out, 1, on_progress)
     trials = {number: found[number] for number in config.scenarios}
     tables = {number: {key: value for key, value in part.items() if key != "series"} for number, part in trials.items()}
     met = {name.removeprefix(FAULT): found[name] for name in faults}
@@ -270,9 +261,8 @@ def run_filters(config: FiltersConfig, out: Path, on_progress: OnProgress = igno
         "seeds": config.seeds, "scenarios": tables, "faults": met, "law": found[LAW],
         "sharp": plain | {name.removeprefix(SENSORS): found[name]["figures"] for name in sharp},
     }  # fmt: skip
-    write_json(out / "tables.json", result)
     save_figures(trials, out)
-    return result
+    return stored(result, out, "tables.json")
 
 
 def work_part(config: FiltersConfig, number: str, advance: Advance = ignore) -> dict[str, Any]:
@@ -439,7 +429,17 @@ def _spread(values: Array) -> list[float]:
     return [float(q) for q in np.quantile(values, [0.05, 0.5, 0.95])]
 
 
-def table_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
+    """The trials against S4, scenario 10 with better sensors, the fit of static logs, and faults."""
+    yield f"S4 against ours: medians over {result['seeds']} drives [m]", table_rows(result)
+    if result["sharp"]:
+        yield "Scenario 10 with better sensors [m]; S4: below 3, -, 0.48, -", sharp_rows(result)
+    yield "Warm-up error of accelerometers: the fit of logs made by S4's law", law_rows(result["law"])
+    if result["faults"]:
+        yield "Spurious positions: with S4's gate and without", fault_rows(result)
+
+
+def table_rows(result: Mapping[str, Any]) -> Table:
     """Rows: scenario, figure, paper, ours with 5 and 95 %."""
     rows: list[tuple[str, ...]] = []
     for number, found in result["scenarios"].items():
@@ -451,10 +451,10 @@ def table_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
                 rows.append((number, key, paper, middle, f"{low} .. {high}"))
             elif value is not None:
                 rows.append((number, key, paper, f"{value:.3g}", ""))
-    return rows
+    return ("trial", "figure", "paper", "ours", "5 .. 95 %"), rows
 
 
-def sharp_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def sharp_rows(result: Mapping[str, Any]) -> Table:
     """Scenario 10 by its sensors: largest errors of IMM and one model, RMS gained over each single model, median trust
     level; with 5 and 95 %."""
     keys = (
@@ -463,7 +463,8 @@ def sharp_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
         *(f"rms of {name} less IMM-EKF" for name in ("SM-EKF", WIDE, CURVED)),
         "HTL median",
     )
-    return [
+    gained = (f"RMS gained over {name}" for name in ("SM-EKF", "SM-EKF, yaw noise of CM", "CM-EKF"))
+    return ("sensors", "largest, IMM", "largest, SM-EKF", *gained, "HTL"), [
         (name, *(f"{figures[key][1]:.2f} ({figures[key][0]:.2f} .. {figures[key][2]:.2f})" for key in keys))
         for name, figures in result["sharp"].items()
     ]

@@ -38,7 +38,6 @@ from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.statistics import estimate, holm, student_ends, student_p, within
 from lanebound.agents.benchmark.suite import SPLITS, SuiteConfig
 from lanebound.agents.benchmark.work import run
-from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.agents.episodes.opening import full_id
@@ -49,35 +48,9 @@ from lanebound.agents.learning.opening import for_learning
 from lanebound.agents.learning.training import load_model, one_thread, train
 from lanebound.agents.presets import load_named
 from lanebound.agents.serialization import finite_or_none
+from lanebound.agents.studies.study import Shown, stored
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError
-
-__all__ = [
-    "BESIDE",
-    "PRIMARY",
-    "SHOWN",
-    "ArmConfig",
-    "Course",
-    "LearningStudyConfig",
-    "Pace",
-    "Training",
-    "adjust",
-    "beside_suite",
-    "higher",
-    "judged",
-    "kept_oftener",
-    "load_study",
-    "means_of",
-    "measured",
-    "plan",
-    "run_learning_study",
-    "spread",
-    "study_folder",
-    "study_hours",
-    "summarise",
-    "tested",
-]
-
 
 LEARNING_S = 2e-4  # of the networks of PPO, a decision; measured
 MOMENT_S = 2.0
@@ -103,7 +76,7 @@ def study_hours(study: LearningStudyConfig, course: Course) -> float:
              for env in study.envs}  # fmt: skip
     learning_s = sum(_seconds(one.experiment(study), paces[one.env], study.test_seeds) for one in course.trainings)
     alone_s = sum(paces[env].alone_s * paces[env].decisions for env, _ in study.places)
-    return (learning_s + len(BESIDE) * study.test_seeds * alone_s) / 3600.0
+    return (learning_s + len(COMPARED) * study.test_seeds * alone_s) / 3600.0
 
 
 def _seconds(planned: ExperimentConfig, pace: Pace, test_seeds: int) -> float:
@@ -179,7 +152,7 @@ def keeps(part: Mapping[str, Any]) -> bool:
     return _means(part["episodes"])["cost"] <= float(part["limit"])
 
 
-def kept_oftener(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
+def kept_more_often(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
     """Trainings of arms within the cost limit, in all places together, and ``p`` of no difference (McNemar, exact).
 
     Trainings with the same place and seed are paired: ``n`` pairs; ``first`` and ``second`` within the limit, and
@@ -189,8 +162,8 @@ def kept_oftener(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence
     out = []
     for arm, others in arms.items():
         for other in others:
-            ours, theirs = by_arm[arm], by_arm[other]
-            pairs = [(ours[key], theirs[key]) for key in sorted(ours.keys() & theirs.keys())]
+            of_arm, of_other = by_arm[arm], by_arm[other]
+            pairs = [(of_arm[key], of_other[key]) for key in sorted(of_arm.keys() & of_other.keys())]
             alone, against = pairs.count((True, False)), pairs.count((False, True))
             out.append({
                 "arm": arm, "other": other, "n": len(pairs),
@@ -206,13 +179,13 @@ def higher(parts: Sequence[Mapping[str, Any]], arm: str, other: str, key: str = 
 
     Returns (pairs where the first is higher, pairs, places where its mean is higher, places).
     """
-    ours, theirs = (
+    of_arm, of_other = (
         {(p["env"], p["sky"], p["seed"]): _means(p["episodes"])[key] for p in parts if p["arm"] == name}
         for name in (arm, other)
     )
     gaps: dict[tuple[str, str], list[float]] = {}
-    for place in sorted(ours.keys() & theirs.keys()):
-        gaps.setdefault(place[:2], []).append(ours[place] - theirs[place])
+    for place in sorted(of_arm.keys() & of_other.keys()):
+        gaps.setdefault(place[:2], []).append(of_arm[place] - of_other[place])
     above = [gap > 0.0 for of in gaps.values() for gap in of]
     return sum(above), len(above), sum(sum(of) > 0.0 for of in gaps.values()), len(gaps)
 
@@ -245,11 +218,11 @@ def _column(trainings: Mapping[int, Mapping[str, Any]], key: str) -> Array:
     return np.array([trainings[seed][key] for seed in sorted(trainings)])
 
 
-def _differences(ours: Mapping[int, Mapping[str, Any]], theirs: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
+def _differences(own: Mapping[int, Mapping[str, Any]], others: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
     """Differences of each metric over common seeds; ``p`` of no difference."""
-    both, out = sorted(ours.keys() & theirs.keys()), {}
+    both, out = sorted(own.keys() & others.keys()), {}
     for key in SHOWN:
-        gap = np.array([ours[seed][key] - theirs[seed][key] for seed in both])
+        gap = np.array([own[seed][key] - others[seed][key] for seed in both])
         low, high = student_ends(gap)
         out[key] = {"difference": float(gap.mean()) if both else None, "low": low, "high": high, "n": len(both),
                     "p": student_p(gap) if gap.size > 1 else None}  # fmt: skip
@@ -293,7 +266,7 @@ def tested(found: Mapping[str, Any]) -> str:
 
 FOLDER = "studies/"
 PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers", "lanebound.agents.learning")
-BESIDE = ("nominal", "integrity_aware")
+COMPARED = ("nominal", "integrity_aware")
 
 
 class ArmConfig(Config):
@@ -525,8 +498,8 @@ def beside_suite(study: LearningStudyConfig, env: str, sky: str) -> SuiteConfig:
             "title": study.title,
             "envs": [env],
             "skies": [sky],
-            "agents": {name: name for name in BESIDE},
-            "reference": BESIDE[0],
+            "agents": {name: name for name in COMPARED},
+            "reference": COMPARED[0],
             "seeds": {"split": "test", "count": study.test_seeds, "skip": study.test_skip},
             "overrides": study.shared(env).get("overrides", {}),
         }
@@ -559,11 +532,39 @@ def _written(
             }
             for (env, sky), results in beside.items()
         ],
-        "kept": kept_oftener(list(done.values()), study.against),
+        "kept": kept_more_often(list(done.values()), study.against),
     }
     adjust(found["places"], found["kept"], study.families)
-    found = finite_or_none(found)
-    write_json(out / "results.json", found)
     if done:
         save(curves_figure(list(done.values()), list(study.arms)), out / "curves.svg")
-    return dict(found)
+    return stored(finite_or_none(found), out)
+
+
+def shown(found: Mapping[str, Any]) -> Iterator[Shown]:
+    """Means and differences in each place, trainings within the limit, and what is missing."""
+    for place in found["places"]:
+        rows = [
+            (arm, str(len(of["seeds"])), str(of["kept"]), *(spread(of["means"][key]) for key in SHOWN))
+            for arm, of in place["arms"].items()
+        ]
+        rows += [
+            (agent, "", "", *(f"{means[key]:.3g}" if key in means else "" for key in SHOWN))
+            for agent, means in place["beside"].items()
+        ]
+        heads = ("arm", "trained", "kept limit", *(key.replace("_", " ") for key in SHOWN))
+        yield f"{place['env']}, {place['sky']}: means over trainings, 95 %", (heads, rows)
+        differences = [
+            (f"{arm} - {other}", *(tested(less[key]) for key in PRIMARY))
+            for arm, of in place["arms"].items()
+            for other, less in of["less"].items()
+        ]
+        yield "differences, 95 %, p by Holm's method over all places", (("arms", *PRIMARY), differences)
+    kept = [
+        (f"{row['arm']}, {row['other']}", f"{row['first']}, {row['second']} of {row['n']}", f"{row['p_holm']:.2g}")
+        for row in found["kept"]
+        if row["n"]
+    ]
+    yield "trainings within the cost limit, in all places", (("arms", "kept", "p by Holm's method"), kept)
+    done, planned = found["trainings"]["done"], found["trainings"]["planned"]
+    if done < planned:
+        yield f"{done} of {planned} trainings are done: run the same command again to resume"

@@ -23,7 +23,7 @@ from lanebound.agents.studies.learning import (
     LearningStudyConfig,
     adjust,
     higher,
-    kept_oftener,
+    kept_more_often,
     load_study,
     summarise,
     tested,
@@ -33,17 +33,6 @@ from lanebound.integrity.assessment.plotting import INK, new_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = [
-    "curves_figure",
-    "differences",
-    "markdown",
-    "overview",
-    "packed",
-    "summed_up",
-    "unpacked",
-    "write_page",
-]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#9A9A9A", "#000000")  # Okabe and Ito 2008
 ENDS = ("collision", "off_road")
@@ -132,7 +121,7 @@ def summed_up(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]
         for env, sky in study.places
         if (here := [one for one in trainings if (one["env"], one["sky"]) == (env, sky)])
     ]
-    kept = kept_oftener(trainings, study.against)
+    kept = kept_more_often(trainings, study.against)
     return Sum(places, kept, adjust(places, kept, study.families))
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import base64
 import io
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -20,15 +20,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.checkpointing.files import replace_file, write_json
+from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.agents.studies.fit_errors import FitErrorsConfig, fit_errors
+from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.in_the_loop import NO_LEVEL_M, rate_by_street
-from lanebound.agents.studies.monitored_drives import CampaignConfig, campaign_rows, run_campaign, simulated_epochs
+from lanebound.agents.studies.monitored_drives import (
+    CampaignConfig,
+    FitErrorsConfig,
+    campaign_rows,
+    fit_errors,
+    run_campaign,
+    simulated_epochs,
+)
 from lanebound.agents.studies.street_drives import PACKAGES, StreetDrivesConfig
-from lanebound.integrity.assessment.events import Zone, classify
+from lanebound.agents.studies.study import Shown, stored
 from lanebound.integrity.assessment.plotting import INK, new_figure
+from lanebound.integrity.assessment.record import Zone, classify
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
@@ -45,18 +53,6 @@ from lanebound.integrity.sky.systems import System
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = [
-    "MonitorsConfig",
-    "assess_monitors",
-    "monitor_rows",
-    "place_counts",
-    "predicted_rows",
-    "stanford_sheet",
-    "work_part",
-    "write_page",
-]
-
 
 COLUMNS = 5
 BINS = 60
@@ -110,7 +106,7 @@ def _write(path: Path, content: bytes) -> None:
         draft.write_bytes(content)
 
 
-def _table(heads: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
+def _table(heads: Iterable[Any], rows: Iterable[Sequence[Any]]) -> str:
     head = "".join(f"<th>{escape(str(h))}</th>" for h in heads)
     lines = "".join("<tr>" + "".join(f"<td>{escape(str(c))}</td>" for c in row) + "</tr>" for row in rows)
     return f"<table><tr>{head}</tr>{lines}</table>"
@@ -209,8 +205,7 @@ def assess_monitors(
         "fits": fits,
         "campaign": {config.skies[int(name.rpartition("-")[2])]: found for name, found in campaigns.items()},
     }
-    write_json(out / "results.json", result)
-    return result
+    return stored(result, out)
 
 
 def _fit_names(config: MonitorsConfig, folder: Path | None) -> list[str]:
@@ -399,7 +394,18 @@ def _quantiles(values: Array) -> list[float] | None:
     return [float(q) for q in np.quantile(values, (0.5, 0.95))] if values.size else None
 
 
-Table = tuple[tuple[str, ...], list[tuple[Any, ...]]]
+def shown(config: MonitorsConfig, result: Mapping[str, Any]) -> Iterator[Shown]:
+    """The monitors at each place, faults, and predicted availability."""
+    for place, found in result["places"].items():
+        if found["monitors"]:
+            title = f"{place}, {found['epochs']:,} epochs: rate of errors beyond the level over the risk"
+            yield title, monitor_rows(config, found)
+    for place, tried in result["campaign"].items():
+        limit = f"{config.campaign.alert_limit_m:g} m"
+        title = f"{place}, faults: noticed, median; vehicles off by more than {limit}, longest time to alert"
+        yield title, campaign_rows(tried)
+    title = "Predicted HPL within 50 m, P_FA 5e-3, P_MD 5e-5; S3: GPS 50 to 7 %, two systems 100 to 55 %"
+    yield title, predicted_rows(result)
 
 
 def monitor_rows(config: MonitorsConfig, place: Mapping[str, Any], bands: bool = False) -> Table:

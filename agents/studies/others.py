@@ -1,4 +1,4 @@
-"""Whether broadcasts with recorded errors can be told from those of vehicles that navigate.
+"""Whether broadcasts with recorded errors can be distinguished from those of vehicles that navigate.
 
 Both drive traffic of the same kind, without an ego. A p-value is the share of random exchanges between the two kinds
 in which they differ at least as much. In the recorded cities whole episodes are exchanged, whose vehicles share
@@ -18,7 +18,8 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.report.pages import Table
+from lanebound.agents.studies.study import stored
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import EPISODE_SEEDS, DrivingEnv
 from lanebound.envs.recordings import AWAY_M, EPISODES, SEED, city_of, epochs_of
@@ -27,8 +28,6 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.streams import named_generator
-
-__all__ = ["OthersConfig", "assess_others", "difference_rows"]
 
 Array = NDArray[np.float64]
 MORE = 3  # times as many cities as were recorded
@@ -79,10 +78,7 @@ def assess_others(config: OthersConfig, env: EnvConfig, out: Path) -> dict[str, 
             of_surrogate = np.array([city_of(SEED + one, env.layouts) for one in recorded])
         exchange = _Exchange(np.concatenate([of_full, of_surrogate]), count, config.exchanges, rng)
         found[kind] = {name: test(navigated, said, exchange) for name, test in tests.items()}
-    result = {"config": config.to_dict(), "env": env.to_dict(), "tests": found}
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "results.json", result)
-    return result
+    return stored({"config": config.to_dict(), "env": env.to_dict(), "tests": found}, out)
 
 
 def _seeds_in(cities: int, allowed: Container[int], count: int, seed: int) -> list[int]:
@@ -275,14 +271,15 @@ def _there(notes: Records) -> Records:
     return found
 
 
-def difference_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
+def difference_rows(result: dict[str, Any]) -> Table:
     """A row for each test: both kinds, then the p-value, in the recorded cities and in others."""
     same, other = result["tests"]["same"], result["tests"]["other"]
 
     def shown(value: float) -> str:
         return "-" if value is None or math.isnan(value) else f"{value:.3g}"
 
-    return [
+    heads = ("quantity", "surrogate", "full, same cities", "full, other cities")
+    return heads, [
         (name, shown(t["surrogate"]), *(f"{shown(k[name]['full'])}, p {k[name]['p']:.3f}" for k in (same, other)))
         for name, t in same.items()
     ]

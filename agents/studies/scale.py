@@ -19,14 +19,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.agents.report.pages import Table
+from lanebound.agents.studies.study import stored
 from lanebound.envs.vector.env import VectorDrivingEnv, engines
 from lanebound.integrity.core.accel import serial
-
-__all__ = ["SECTIONS", "Line", "ScalePoint", "fit", "measured", "points", "run_scale", "tables"]
 
 PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents:studies/scale.py")
 SURROGATE: dict[str, Any] = {"perception": {"others": "surrogate"}}
@@ -102,9 +100,7 @@ def run_scale(out: Path, quick: bool = False, on_progress: OnProgress = ignore) 
     wanted = {point.name: point for point in points(quick)}
     ResultFolder(out, "scale", {"quick": quick}, code_digest(*PACKAGES)).claim()
     found = run_parts(out, list(wanted), partial(_of_name, wanted), 1, on_progress, size=lambda n: _size(wanted[n]))
-    result = {"points": [{**wanted[name]._asdict(), **measured} for name, measured in found.items()]}
-    write_json(out / "results.json", result)
-    return result
+    return stored({"points": [{**wanted[name]._asdict(), **measured} for name, measured in found.items()]}, out)
 
 
 def _size(point: ScalePoint) -> float:

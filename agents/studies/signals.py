@@ -13,7 +13,7 @@ Signals of one satellite are not independent: intervals of recorded quantiles ar
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,9 +21,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.runner import Counter, OnProgress, RunProgress, ignore
+from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.street_drives import StreetDrivesConfig, street_of
+from lanebound.agents.studies.study import Shown, stored
 from lanebound.integrity.assessment.plotting import legend, new_figure, save, tidy
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import InputError
@@ -31,34 +32,17 @@ from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geod
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.recorded.smartloc import SmartLoc, SmartLocRaw, read_smartloc, read_smartloc_raw
-from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.signal_choice import LETTERS
 from lanebound.integrity.sensors.gnss import GnssConfig
+from lanebound.integrity.sky.orbit import ranges_and_sights
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, WAVELENGTH_M, System
 from lanebound.integrity.sky.visibility import SignalPath
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "SYSTEMS",
-    "SignalResiduals",
-    "SignalsConfig",
-    "assess_signals",
-    "compare_paths",
-    "labelled",
-    "path_rows",
-    "paths_figure",
-    "recorded",
-    "signal_rows",
-    "simulated",
-    "without_clock",
-]
-
 Array = NDArray[np.float64]
 QUANTILES = (0.5, 0.75, 0.9, 0.95)
-Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
-
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
@@ -244,13 +228,13 @@ def compare_paths(recorded: SignalResiduals, simulated: SignalResiduals) -> list
     rows = []
     for name in OBSERVABLES:
         for path in PATHS:
-            theirs, satellite = _of(recorded, name, path), recorded.satellite[_rows(recorded, name, path)]
-            ours = _of(simulated, name, path)
-            low, high = _by_satellite(theirs, satellite)
+            values, satellite = _of(recorded, name, path), recorded.satellite[_rows(recorded, name, path)]
+            made = _of(simulated, name, path)
+            low, high = _by_satellite(values, satellite)
             rows.append({
-                "observable": name, "path": path, "signals": len(theirs), "satellites": len(np.unique(satellite)),
-                "recorded": _signals_quantiles(theirs), "low": low, "high": high, "simulated": _signals_quantiles(ours),
-                "simulated_signals": len(ours),
+                "observable": name, "path": path, "signals": len(values), "satellites": len(np.unique(satellite)),
+                "recorded": _signals_quantiles(values), "low": low, "high": high, "simulated": _signals_quantiles(made),
+                "simulated_signals": len(made),
             })  # fmt: skip
     return rows
 
@@ -365,12 +349,10 @@ def assess_signals(
             for elevation in pairwise(ELEVATION_DEG)
         ]
     }
-    out.mkdir(parents=True, exist_ok=True)
     if excerpt is not None:
         result["paths"] = compare_paths(excerpt, ours)
         save(paths_figure(excerpt, ours), out / "signals.svg")
-    write_json(out / "signals.json", result)
-    return result
+    return stored(result, out, "signals.json")
 
 
 def _quantiles(
@@ -382,6 +364,13 @@ def _quantiles(
     if here.sum() < LEAST_CODES:
         return None
     return {"share": float(here.mean()), "quantiles_m": np.quantile(np.abs(signals.code_m[here]), QUANTILES).tolist()}
+
+
+def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
+    """Errors by class and, with labels, by path."""
+    yield "Share of the codes, and 50 / 75 / 90 / 95 % of their absolute errors [m]", signal_rows(result)
+    if "paths" in result:
+        yield "Absolute errors by path: recorded, with 95 % by satellite; simulated", path_rows(result)
 
 
 def signal_rows(result: Mapping[str, Any]) -> Table:

@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
+from lanebound.agents.studies.study import claim, parts_of
 from lanebound.envs.sky import SkyLevel
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.frames import track_from_enu_matrix
@@ -28,18 +29,6 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import clad
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
-
-__all__ = [
-    "DriveMoment",
-    "StreetDrivesConfig",
-    "drive_of",
-    "drive_street",
-    "mask_of",
-    "navigator_of",
-    "road_of",
-    "street_of",
-    "work_streets",
-]
 
 Array = NDArray[np.float64]
 
@@ -84,6 +73,7 @@ C = TypeVar("C", bound=StreetDrivesConfig)
 
 def work_streets(
     config: C,
+    kind: str,
     streets: int,
     work: Callable[[C, str, int, Advance], dict[str, Any]],
     out: Path,
@@ -92,10 +82,17 @@ def work_streets(
 ) -> dict[str, list[dict[str, Any]]]:
     """The data of the streets of each sky: those in ``out``, and ``work(config, sky, number, advance)`` of the others.
 
-    ``work`` must be picklable with more than one job, and a street must not depend on others.
+    ``kind`` is that of the study that claims the folder. ``work`` must be picklable with more than one job, and a
+    street must not depend on others.
+
+    Raises
+    ------
+    InputError
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
+    claim(out, kind, config, PACKAGES)
     names = [f"{k}-{number}" for k in range(len(config.skies)) for number in range(streets)]
-    parts = run_parts(out, names, partial(_work_part, work, config), jobs, on_progress)
+    parts = parts_of(config, partial(_work_part, work), names, out, jobs, on_progress)
     return {
         sky: [part for name, part in parts.items() if name.startswith(f"{k}-")] for k, sky in enumerate(config.skies)
     }

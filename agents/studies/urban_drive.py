@@ -7,13 +7,19 @@ luck.
 Figures printed by the source papers, as data, and the bands within which ours should fall.
 
 S1: El-Mowafy and Kubo, integrated RTK, IMU and odometer positioning (tables 2, 4, 5 and the text of section 5).
+
+The urban drive for all its seeds, batch by batch, and its tables and figures.
+
+The urban drive with its chosen constants taken away one by one: how many cells of S1's tables each of them buys.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +27,27 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from lanebound.agents.checkpointing.runner import Advance, ignore
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, RunProgress, ignore, run_parts
+from lanebound.agents.report.pages import Table
+from lanebound.agents.serialization import finite_or_none
+from lanebound.agents.studies.study import Shown, claim, stored
+from lanebound.integrity.assessment.plotting import map_figure, save, series_figure, stanford_figure
+from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.streams import Streams, named_generator
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.navigators.navigator import LevelForm, Navigator, NavigatorConfig, PlCase
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.motion_config import DopplerConfig
+from lanebound.integrity.positioning.rtk_config import RtkConfig
+from lanebound.integrity.sensors.gnss import GnssConfig
 from lanebound.integrity.sky.city import City, CityConfig, build_city
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
-__all__ = ["CELLS", "MODES", "RISKS", "Drives", "PrintedFigure", "UrbanDriveConfig", "drive", "seed_statistics"]
-
+Array = NDArray[np.float64]
 
 MODES = ("rtk", "doppler", "imu_odometer")
 RISKS = (1e-3, 1e-4, 1e-5, 1e-6)
@@ -98,8 +111,6 @@ def _cells() -> list[PrintedFigure]:
 
 CELLS = _cells()
 
-
-Array = NDArray[np.float64]
 
 MODE_CODES = {"rtk": Mode.RTK, "doppler": Mode.DOPPLER, "imu_odometer": Mode.IMU_ODOMETER}
 LOOP_M = (
@@ -283,3 +294,318 @@ def _medians(level: NDArray[np.float32]) -> dict[str, dict[str, float]]:
         f"{axis}_m": {risk_key(r): float(np.median(level[:, i, q])) for i, r in enumerate(RISKS)}
         for q, axis in enumerate(("at", "ct"))
     }
+
+
+PACKAGES = ("lanebound.integrity", "lanebound.agents.studies")
+ALERT_LIMIT_M = 1.0  # S1 section 5
+FIGURE_RISKS = {"1e-4": 1, "1e-6": 3}  # S1 figures 3 and 4
+
+
+def run_study(
+    config: UrbanDriveConfig, out: Path, on_progress: OnProgress = ignore, masks: Path | None = None
+) -> dict[str, Any]:
+    """Drive the missing batches, and write ``tables.json`` and the figures into ``out``; returns the tables.
+
+    Parameters
+    ----------
+    on_progress : called with the number of epochs
+    masks : folder of cached sky masks; by default that of the parts
+
+    Raises
+    ------
+    InputError
+        As :func:`check`.
+    """
+    check(config, out)
+    batches = _batches(config)
+    epochs = round(60.0 * config.minutes / config.navigator.dt_s)
+    found = run_parts(
+        out, list(batches), partial(_drive_batch, config, out, masks or out / "parts"), 1, on_progress,
+        size=lambda name: len(batches[name]) * epochs, infinite=True,
+    )  # fmt: skip
+    statistics = [drive_ for part in found.values() for drive_ in part]
+    tables = {"seeds": config.seeds, "minutes": config.minutes, **summarise(statistics)}
+    return stored(finite_or_none(tables), out, "tables.json")
+
+
+def _batches(config: UrbanDriveConfig) -> dict[str, list[int]]:
+    """Seeds of each part by its name."""
+    last = config.first_seed + config.seeds
+    seeds = (range(first, min(first + config.batch, last)) for first in range(config.first_seed, last, config.batch))
+    return {f"seeds-{batch[0]}-{batch[-1]}": list(batch) for batch in seeds}
+
+
+def _drive_batch(config: UrbanDriveConfig, out: Path, masks: Path, name: str, advance: Advance) -> list[dict[str, Any]]:
+    """Statistics of the drives of a part; the figures are of the first drive."""
+    seeds = _batches(config)[name]
+    road, city, mask = street(config, masks)
+    drives = drive(config, road, mask, seeds, advance)
+    if seeds[0] == config.first_seed:
+        _figures(drives, city, out)
+    return seed_statistics(drives, config.navigator.dt_s)
+
+
+def check(config: UrbanDriveConfig, out: Path) -> None:
+    """Refuse a configuration that cannot be driven, and claim the folder.
+
+    Raises
+    ------
+    InputError
+        The road cannot be driven, there is no satellite, or ``out`` cannot be claimed.
+    """
+    check_drive(config)
+    claim(out, "urban drive study", config, PACKAGES)
+
+
+def check_drive(config: UrbanDriveConfig) -> None:
+    """Refuse a configuration that cannot be driven.
+
+    Raises
+    ------
+    InputError
+        The road cannot be driven, or there is no satellite.
+    """
+    CityDrive(config.road(), config.drive, config.navigator.dt_s)
+    config.navigator.sky.satellites()
+
+
+def _leaves(tree: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, (*path, key))
+        else:
+            yield (*path, key), value
+
+
+def lookup(tree: dict[str, Any], path: tuple[str, ...]) -> Any:
+    """The value at a path, or None."""
+    found: Any = tree
+    for key in path:
+        if not isinstance(found, dict) or key not in found:
+            return None
+        found = found[key]
+    return found
+
+
+def summarise(statistics: list[dict[str, Any]]) -> dict[str, Any]:
+    """Medians over the drives of every figure, under its own names, and the 5 % and 95 % quantiles under ``spread``.
+
+    ``epochs`` are sums over the drives, and ``exceedance`` the share of those epochs: medians hide rare events.
+    """
+    paths = sorted({path for drive_ in statistics for path, _ in _leaves(drive_)})
+    tables: dict[str, Any] = {"spread": {}}
+    for path in paths:
+        values = [v for s in statistics if (v := lookup(s, path)) is not None]
+        middle, low, high = _quantiles(values)
+        if path[0] == "exceedance":
+            middle = _pooled(statistics, path)
+        elif path[0] == "epochs":
+            middle = sum(values)
+        for target, leaf in ((tables, middle), (tables["spread"], [low, high])):
+            for key in path[:-1]:
+                target = target.setdefault(key, {})
+            target[path[-1]] = leaf
+    tables["pl_bounds_error"] = {
+        mode: {risk: rate == 0.0 for risk, rate in kinds["published"].items()}
+        for mode, kinds in tables.get("exceedance", {}).items()
+    }
+    return tables
+
+
+def _pooled(statistics: list[dict[str, Any]], path: tuple[str, ...]) -> float:
+    """A share of the epochs of one mode, of all drives together."""
+    pairs = [(rate, lookup(one, ("epochs", path[1]))) for one in statistics if (rate := lookup(one, path)) is not None]
+    return float(sum(rate * epochs for rate, epochs in pairs) / sum(epochs for _, epochs in pairs))
+
+
+def _quantiles(values: list[float]) -> tuple[float, float, float]:
+    """Median, 5 % and 95 % quantile; no interpolation towards a level that is infinite."""
+    found = np.quantile(values, [0.5, 0.05, 0.95], method="linear" if np.isfinite(values).all() else "higher")
+    return float(found[0]), float(found[1]), float(found[2])
+
+
+def rows_against_paper(tables: dict[str, Any]) -> list[dict[str, Any]]:
+    """Each printed figure of S1 next to ours: paper, ours, 5 and 95 % of the drives, the band aimed at, whether met."""
+    return [_row(cell, tables) for cell in CELLS]
+
+
+def _row(cell: PrintedFigure, tables: dict[str, Any]) -> dict[str, Any]:
+    ours, spread = lookup(tables, cell.path), lookup(tables["spread"], cell.path)
+    return {
+        "figure": ".".join(cell.path),
+        "paper": cell.published,
+        "ours": ours,
+        "low": spread[0] if spread else None,
+        "high": spread[1] if spread else None,
+        "band": [cell.low, cell.high],
+        "met": ours is not None and cell.low <= ours <= cell.high,
+        "remark": cell.remark,
+    }
+
+
+def shown(tables: dict[str, Any]) -> Iterator[Shown]:
+    """S1's figures next to ours, and how often errors exceed their levels."""
+    rows, short = rows_against_paper(tables), is_short(tables)
+    heads = ("figure", "paper", "ours", "5 %", "95 %", "band aimed at", "ours in band")
+    yield f"S1 against ours: medians over {tables['seeds']} drives of {tables['minutes']:g} min [m]", (heads, [
+        (r["figure"], *(_metres(r[k]) for k in ("paper", "ours", "low", "high")),
+         f"{r['band'][0]:.3f} .. {r['band'][1]:.3f}", verdict(r, short))
+        for r in rows
+    ])  # fmt: skip
+    yield f"{sum(row['met'] for row in rows)} of {len(rows)} printed figures lie inside the band aimed at."
+    if short:
+        yield (
+            "The bands are meant for the whole study, 100 drives of 26 min: this run is shorter, and a figure outside "
+            "its band\nmay be chance. Leave out --seeds and --minutes for the full comparison."
+        )
+    yield ""
+    heads = ("mode", "form", "epochs", "1e-3", "1e-4", "1e-5", "1e-6")
+    yield "Share of epochs whose error exceeds the protection level on either axis", (heads, [
+        (mode, form, f"{tables['epochs'][mode]:,}", *("0" if r == 0.0 else f"{r:.1e}" for r in by_risk.values()))
+        for mode in MODES
+        for form, by_risk in sorted(tables["exceedance"].get(mode, {}).items(), reverse=True)
+    ])  # fmt: skip
+    total = sum(tables["epochs"].values())
+    yield f"Shares are of {total:,} epochs in all, ten a second and so strongly correlated.\n"
+    yield f"RTK within 1 m at 1e-6 for {tables['availability']['rtk_1m']:.2%} of its epochs."
+
+
+def is_short(tables: dict[str, Any]) -> bool:
+    """Whether a run has fewer or shorter drives than the study, for which the bands are meant."""
+    full = UrbanDriveConfig()
+    return bool(tables["seeds"] < full.seeds or tables["minutes"] < full.minutes)
+
+
+def verdict(row: dict[str, Any], short: bool) -> str:
+    """Where our value lies; a short run is named as such."""
+    if row["ours"] is None:
+        return "none"
+    if row["met"]:
+        return "inside"
+    return "outside (short run)" if short else "outside"
+
+
+def _record(drives: Drives, b: int, level: int) -> Record:
+    start = int(np.argmax(drives.mode[:, b] > 0))
+    pl = drives.level_m[start:, b, level].astype(float)
+    over = np.asarray((pl > ALERT_LIMIT_M).any(-1), dtype=np.bool_)
+    return Record(
+        time_s=drives.time_s[start:],
+        mode=drives.mode[start:, b],
+        error_at_m=drives.error_m[start:, b, 0].astype(float),
+        error_ct_m=drives.error_m[start:, b, 1].astype(float),
+        pl_at_m=pl[:, 0],
+        pl_ct_m=pl[:, 1],
+        alert=over,
+        available=~over,
+    )
+
+
+def _figures(drives: Drives, city: City, out: Path) -> None:
+    """The first drive: S1 figures 3 and 4, Stanford diagrams, and a map."""
+    for risk, level in FIGURE_RISKS.items():
+        record = _record(drives, 0, level)
+        save(
+            series_figure(record, risk=float(risk), al_at_m=ALERT_LIMIT_M, al_ct_m=ALERT_LIMIT_M),
+            out / f"series-{risk}.png",
+        )
+        save(stanford_figure(record, ALERT_LIMIT_M, ALERT_LIMIT_M, risk=float(risk)), out / f"stanford-{risk}.png")
+    start = int(np.argmax(drives.mode[:, 0] > 0))  # as the series
+    position, mode = drives.position_en_m[start:, 0].astype(float), drives.mode[start:, 0]
+    title = f"First drive, {drives.time_s[-1] / 60.0:.0f} min, by mode of positioning"
+    save(map_figure(position, mode, title=title, obstacles=_outlines(city)), out / "map.png")
+
+
+def _outlines(city: City) -> NDArray[np.float64]:
+    """Level triangles of all that is solid, as a map shows them: roofs and overpasses.  (n, 3, 2) [m]."""
+    triangles = city.triangles_enu_m[~city.foliage]
+    level = np.ptp(triangles[:, :, 2], axis=1) < 1e-6
+    return np.asarray(triangles[level, :, :2])
+
+
+WHITE_S = 0.01  # correlation time far below an epoch
+SHOWN = {
+    "RTK error along, across [m]": (("error", "rtk", "median_at_m"), ("error", "rtk", "median_ct_m")),
+    "RTK PL at 1e-6 [m]": (("pl_median", "rtk", "at_m", "1e-6"), ("pl_median", "rtk", "ct_m", "1e-6")),
+    "Doppler PL at 1e-6 [m]": (("pl_median", "doppler", "at_m", "1e-6"), ("pl_median", "doppler", "ct_m", "1e-6")),
+}
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """A variant of the study: its name, what is taken away, and the changes of ``navigator`` that do it."""
+
+    name: str
+    text: str
+    navigator: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _positioning(part: str, **values: Any) -> dict[str, Any]:
+    return {"positioning": {part: values}}
+
+
+_DOPPLER_SIGMA = _positioning("doppler", sigma_mps=DopplerConfig().sigma_mps)
+_PHASE_SIGMA = _positioning("rtk", sigma_phase_integrity_m=RtkConfig().sigma_phase_integrity_m)
+_WHITE = {"gnss": {"range_rate_tau_s": WHITE_S}, **_positioning("doppler", tau_range_s=[WHITE_S, WHITE_S])}
+_NO_OFFSET = {"gnss": {"reference_offset_m": 0.0}, **_positioning("rtk", reference_bias_m=0.0)}
+
+ABLATIONS = (
+    Ablation("shipped", "nothing"),
+    Ablation("no-offset", "offset of the reference coordinates, and its bound", _NO_OFFSET),
+    Ablation("default-doppler", "declared Doppler sigma of 0.33 m/s: default", _DOPPLER_SIGMA),
+    Ablation(
+        "default-doppler-noise",
+        "simulated and declared Doppler sigma: defaults",
+        {**_DOPPLER_SIGMA, "gnss": {"range_rate_sigma_mps": GnssConfig().range_rate_sigma_mps}},
+    ),
+    Ablation("white-doppler", "correlation of Doppler errors, simulated and declared", _WHITE),
+    Ablation("unknown-tau", "knowledge of that time: 0.1 to 10 s", _positioning("doppler", tau_range_s=[0.1, 10.0])),
+    Ablation("no-outages", "outages of the link", {"corrections": {"outage_per_h": 0.0}}),
+    Ablation("default-phase", "declared phase sigma of 27 mm: default", _PHASE_SIGMA),
+)
+"""The study as shipped, and without each of its constants."""
+
+
+def run_ablation(config: UrbanDriveConfig, out: Path, on_progress: OnProgress = ignore) -> dict[str, Any]:
+    """Run every variant in a folder of its own below ``out``, and write ``ablation.json``; returns its data.
+
+    Raises
+    ------
+    InputError
+        A variant cannot be driven, or a folder cannot be claimed.
+    """
+    check_drive(config)
+    claim(out, "urban drive ablation", config, PACKAGES)
+    variants = []
+    for k, one in enumerate(ABLATIONS):
+
+        def report(progress: RunProgress, before: int = k) -> None:
+            of = progress.of * len(ABLATIONS)
+            on_progress(replace(progress, of=of, done=progress.done + before * progress.of, left_s=None))
+
+        changed = config.replace(navigator=dict(one.navigator))
+        tables = run_study(changed, out / one.name, report, masks=out / "masks")
+        rows = rows_against_paper(tables)
+        variants.append(
+            {"name": one.name, "without": one.text, "met": sum(row["met"] for row in rows), "of": len(rows)}
+            | {"outside": [row["figure"] for row in rows if not row["met"]]}
+            | {key: [lookup(tables, path) for path in paths] for key, paths in SHOWN.items()}
+        )
+    return stored({"seeds": config.seeds, "minutes": config.minutes, "variants": variants}, out, "ablation.json")
+
+
+def ablation_rows(result: Mapping[str, Any]) -> Table:
+    """What is taken away, cells met, and median errors and levels of RTK and Doppler."""
+    rows = [
+        (one["without"], f"{one['met']} of {one['of']}", *(_pair(one[key]) for key in SHOWN))
+        for one in result["variants"]
+    ]
+    return ("taken away", "cells", *SHOWN), rows
+
+
+def _pair(values: list[float | None]) -> str:
+    return ", ".join(map(_metres, values))
+
+
+def _metres(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"

@@ -86,6 +86,11 @@ def ecef_from_enu_matrix(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
     return np.stack([east, north, up], -1)
 
 
+def enu_axes(origin_ecef_m: ArrayLike) -> Array:
+    """Matrix :func:`ecef_from_enu_matrix` of the local frame at a point.  (..., 3) [m] -> (..., 3, 3)."""
+    return ecef_from_enu_matrix(*geodetic_from_ecef(origin_ecef_m)[:2])
+
+
 def enu_from_ecef(vector_ecef: ArrayLike, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
     """Rotate an ECEF vector into ENU at (lat, lon).  (..., 3) -> (..., 3)."""
     m = ecef_from_enu_matrix(lat_rad, lon_rad)

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.series import UNTIMED, Timing, in_order, notes
-from lanebound.integrity.recorded.source import MAX_BYTES
+from lanebound.integrity.recorded.source import MAX_BYTES, UNTIMED, Timing, in_order, notes
 
 __all__ = ["Comma", "ReceiverFixes", "Reference", "Series", "read_comma", "read_rows"]
 

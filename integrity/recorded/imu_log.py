@@ -22,9 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.series import UNTIMED, Timing, in_order
-from lanebound.integrity.recorded.source import Lines, Stop, finite_number
-from lanebound.integrity.recorded.time_scales import GPS_EPOCH_S
+from lanebound.integrity.recorded.source import GPS_EPOCH_S, UNTIMED, Lines, Stop, Timing, finite_number, in_order
 
 __all__ = ["G_MPS2", "ImuLog", "levelled", "read_imu_log"]
 

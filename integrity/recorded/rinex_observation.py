@@ -20,18 +20,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.rinex2 import as_version_3
 from lanebound.integrity.recorded.rinex_header import (
     FIRST_LABEL,
     LABEL_AT,
     SYSTEMS,
     Header,
     HeaderBuilder,
+    as_version_3,
     b1_in_band_2,
 )
-from lanebound.integrity.recorded.series import in_order
-from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
-from lanebound.integrity.recorded.time_scales import BDT_BEHIND_GPS_S
+from lanebound.integrity.recorded.source import (
+    BDT_BEHIND_GPS_S,
+    MAX_BYTES,
+    Lines,
+    Stop,
+    finite_number,
+    in_order,
+    whole_number,
+)
 from lanebound.integrity.sky.systems import PRN_BEFORE
 
 __all__ = ["Move", "Observations", "SystemRows", "read_observations"]

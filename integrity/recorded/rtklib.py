@@ -22,10 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic, geodetic_from_ecef
-from lanebound.integrity.recorded.series import Timing, in_order
-from lanebound.integrity.recorded.source import Lines, Stop, finite_number
-from lanebound.integrity.recorded.time_scales import GPS_EPOCH_S, WEEK_S, leap_seconds, unrolled
+from lanebound.integrity.core.frames import ecef_from_geodetic, enu_axes
+from lanebound.integrity.recorded.source import (
+    GPS_EPOCH_S,
+    WEEK_S,
+    Lines,
+    Stop,
+    Timing,
+    finite_number,
+    in_order,
+    leap_seconds,
+    unrolled,
+)
 
 __all__ = ["FIXED", "FLOAT", "ReferenceTrack", "RtkSolution", "read_reference", "read_rtk_solution"]
 
@@ -166,8 +174,7 @@ def read_rtk_solution(path: str | Path) -> RtkSolution:
     place = _ecef(rows[:, 1:4], time, head, path)
     velocity = None if np.isnan(rows[:, 7:]).any() else rows[:, 7:]
     if velocity is not None and head.form == XYZ:
-        latitude, longitude, _ = geodetic_from_ecef(place[0])
-        velocity = (velocity @ ecef_from_enu_matrix(latitude, longitude))[:, [1, 0, 2]]
+        velocity = (velocity @ enu_axes(place[0]))[:, [1, 0, 2]]
     return RtkSolution(
         time, place, rows[:, 4].astype(np.int64), rows[:, 5].astype(np.int64), rows[:, 6], velocity, stop, timing
     )
@@ -234,8 +241,7 @@ def _ecef(place: Array, time_s: Array, head: _Head, path: str | Path) -> Array:
                 f"{path} holds baselines (e/n/u) and no 'ref pos' in its head: set out-solformat of RTKLIB to llh or "
                 "xyz"
             )
-        latitude, longitude, _ = geodetic_from_ecef(head.base_m)
-        return np.asarray(head.base_m + place @ ecef_from_enu_matrix(latitude, longitude).T)
+        return np.asarray(head.base_m + place @ enu_axes(head.base_m).T)
     if head.form == XYZ:
         found = place
     else:

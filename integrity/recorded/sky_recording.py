@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.series import require_degrees
-from lanebound.integrity.recorded.source import Lines, Stop, finite_number
+from lanebound.integrity.recorded.source import Lines, Stop, finite_number, require_degrees
 from lanebound.integrity.sky.visibility import SignalPath
 
 __all__ = ["SkyRecording", "read_sky_recording"]

@@ -20,9 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.series import UNTIMED, Timing, in_order, notes, require_degrees
-from lanebound.integrity.recorded.source import Lines, Stop, finite_number
-from lanebound.integrity.recorded.time_scales import WEEK_S
+from lanebound.integrity.recorded.source import (
+    UNTIMED,
+    WEEK_S,
+    Lines,
+    Stop,
+    Timing,
+    finite_number,
+    in_order,
+    notes,
+    require_degrees,
+)
 
 __all__ = [
     "SYSTEM_LETTERS",

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError, require_finite, require_shape
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.frames import enu_axes
 from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
 from lanebound.integrity.monitoring.protection import protection_levels_batch
@@ -46,20 +46,6 @@ from lanebound.integrity.replay.signal_choice import LETTERS, Choice, choose_sig
 from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL
 from lanebound.integrity.sky.broadcast import Ephemerides
 from lanebound.integrity.sky.systems import FIXABLE
-
-__all__ = [
-    "Baseline",
-    "BaselineConfig",
-    "SlipComparison",
-    "base_antenna",
-    "code_rows",
-    "date_text",
-    "entries_of",
-    "on_earth",
-    "require_one_site",
-    "signals_of",
-    "solve_baseline",
-]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -375,8 +361,7 @@ class _Session:
     ) -> None:
         self.rover, self.base, self.place, self.choice, self.config = rover, base, place, choice, config
         self.system = np.ascontiguousarray(table.satellites[:, 0])
-        latitude, longitude, _ = geodetic_from_ecef(place)
-        self.axes = ecef_from_enu_matrix(latitude, longitude)
+        self.axes = enu_axes(place)
         self.entries = entries_of(choice, rover, base, table.satellites, config.rtk.cn0_min_dbhz)
         self.stages = RtkStages(config.rtk, config.slips, config.fde, config.risk, self.entries, config.static)
         self.slips = SlipComparison(self.entries, config.rtk, config.slips)

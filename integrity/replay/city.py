@@ -24,15 +24,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.accuracy import assess
-from lanebound.integrity.assessment.bounding import doubt, measure_bounding
-from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.accuracy import assess, doubt, measure_bounding
+from lanebound.integrity.assessment.plotting import map_figure, save, series_figure, stanford_figure
 from lanebound.integrity.assessment.record import AXES, Record
-from lanebound.integrity.assessment.series import map_figure, series_figure
-from lanebound.integrity.assessment.stanford import stanford_figure
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
+from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertLimits, AlertState, step
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, FdeResult, detect_and_exclude
@@ -42,13 +39,10 @@ from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.positioning.danish import DanishConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
-from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.code_epochs import recorded_epochs
-from lanebound.integrity.replay.overbound import CodeErrors
-from lanebound.integrity.replay.reckoning import DeadReckonedPath, reckon, turned
-from lanebound.integrity.replay.recording_checks import check_smartloc
-from lanebound.integrity.replay.sagnac import ranges_and_sights
-from lanebound.integrity.replay.training import train
+from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, DeadReckonedPath, reckon, turned
+from lanebound.integrity.replay.sensor_checks import check_smartloc
+from lanebound.integrity.replay.training import CodeErrors, train
 from lanebound.integrity.replay.window import (
     FIXED_UNKNOWNS,
     PSI,
@@ -58,18 +52,7 @@ from lanebound.integrity.replay.window import (
     WindowRows,
     settle,
 )
-
-__all__ = [
-    "CityReplay",
-    "CityResult",
-    "CodeReplay",
-    "CodeReplayConfig",
-    "drive_city",
-    "find_smartloc",
-    "read_city",
-    "replay_city",
-    "write_city",
-]
+from lanebound.integrity.sky.orbit import ranges_and_sights
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
@@ -223,9 +206,8 @@ class _CityRun:
             distance, sight = ranges_and_sights(r.satellite_ecef_m[own], x[:3])
             design = np.column_stack([-sight, np.ones(len(sight))])
             x += np.linalg.lstsq(design, r.range_m[own] - self.centre[own] - distance - x[3], rcond=None)[0]
-        latitude, longitude, _ = geodetic_from_ecef(x[:3])
         self.first_clock = float(x[3])
-        return LocalFrame(x[:3], ecef_from_enu_matrix(latitude, longitude))
+        return LocalFrame.at(x[:3])
 
     def drive(self, every: int, first: int, progress: Progress) -> CodeReplay:
         """Solve each ``every``-th epoch from ``first`` on."""

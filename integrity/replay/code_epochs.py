@@ -13,17 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.frames import geodetic_from_ecef
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.positioning.code_solution import gauss_newton
 from lanebound.integrity.recorded.smartloc import Odometry, SmartLoc
 from lanebound.integrity.replay.reckoning import reckon
-from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.sensor_checks import require_same_times
 from lanebound.integrity.replay.window import LocalFrame
-
-__all__ = ["WINDOW_S", "TrackedEpochs", "fit_heading", "path_headings", "reckoned_steps", "recorded_epochs"]
+from lanebound.integrity.sky.orbit import ranges_and_sights
 
 Array = NDArray[np.float64]
 
@@ -105,10 +103,8 @@ def _frame(place: Array, range_m: Array, used: Bools, system: NDArray[np.int64])
         x, fit = gauss_newton(partial(_about, place[k : k + 1], range_m[k : k + 1]), np.zeros((1, 3)), 1.0, own, system)
         if fit.df[0] < 1 or not fit.solved[0]:
             continue
-        x = x[0]
-        latitude, longitude, height = geodetic_from_ecef(x)
-        if abs(float(height)) < 1e4:
-            return LocalFrame(x, ecef_from_enu_matrix(latitude, longitude))
+        if abs(float(geodetic_from_ecef(x[0])[2])) < 1e4:
+            return LocalFrame.at(x[0])
     raise InputError("drive must have an epoch with more codes than unknowns, has none: lower cn0_min_dbhz")
 
 

@@ -13,15 +13,13 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.positioning.code_solution import gauss_newton
 from lanebound.integrity.recorded.rinex_observation import Observations
-from lanebound.integrity.recorded.time_scales import BDT_BEHIND_GPS_S, WEEK_S, leap_seconds
+from lanebound.integrity.recorded.source import BDT_BEHIND_GPS_S, WEEK_S, leap_seconds
 from lanebound.integrity.replay.differences import Arc, arc_of, troposphere_m
-from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.signal_choice import Choice
 from lanebound.integrity.sky.broadcast import Ephemerides
 from lanebound.integrity.sky.klobuchar import Klobuchar
+from lanebound.integrity.sky.orbit import ranges_and_sights
 from lanebound.integrity.sky.systems import WAVELENGTH_M, System
-
-__all__ = ["MOVES_M", "NEAR_M", "WRONG_M", "CodePlaces", "require_gps_time"]
 
 Array = NDArray[np.float64]
 

@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import doubt, measure_bounding
-from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
+from lanebound.integrity.assessment.plotting import save, series_figure
 from lanebound.integrity.assessment.record import Record
-from lanebound.integrity.assessment.series import series_figure
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.frames import (
@@ -43,23 +42,12 @@ from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import path_headings, recorded_epochs
 from lanebound.integrity.replay.outages import averaged
 from lanebound.integrity.replay.reckoning import reckon
-from lanebound.integrity.replay.recording_checks import aligned_comma, check_smartloc
+from lanebound.integrity.replay.sensor_checks import aligned_comma, check_smartloc
 from lanebound.integrity.sensors.gnss import GnssEpoch
 from lanebound.integrity.sensors.imu import ImuSample
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sensors.odometer import OdometerSample
 from lanebound.integrity.sky.view import SkyView
-
-__all__ = [
-    "FilterDrive",
-    "FilterReplayConfig",
-    "SensorDrive",
-    "comma_sensors",
-    "drive_filter",
-    "filter_summary",
-    "smartloc_sensors",
-    "write_filter",
-]
 
 Bools = NDArray[np.bool_]
 WIDEST_RAD = np.deg2rad(10.0)  # deviation of a path's heading that begins a filter

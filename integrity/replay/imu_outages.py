@@ -17,29 +17,29 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import (
-    ecef_from_enu_matrix,
     ecef_from_geodetic,
+    enu_axes,
     geodetic_from_ecef,
     track_from_enu_matrix,
 )
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.imu_log import G_MPS2, ImuLog, levelled, read_imu_log
 from lanebound.integrity.recorded.rtklib import RtkSolution, read_rtk_solution
-from lanebound.integrity.recorded.series import UNTIMED, notes
-from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
+from lanebound.integrity.recorded.source import UNTIMED, notes
 from lanebound.integrity.replay.outages import OutageErrors, averaged, by_age, drift_figure
-from lanebound.integrity.replay.reckoning import reckon, turned
+from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, reckon, turned
 from lanebound.integrity.replay.sensor_checks import (
     ACCELERATION,
     CLEARLY,
@@ -57,16 +57,6 @@ from lanebound.integrity.replay.sensor_checks import (
     require_throughout,
     with_rate,
 )
-
-__all__ = [
-    "AGES_S",
-    "ImuOutageConfig",
-    "InertialMotion",
-    "imu_files",
-    "motion_of_log",
-    "run_inertial_outages",
-    "write_imu_outages",
-]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -143,28 +133,12 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     _require_changing_axes(log, at[on], turning[on], ahead[on])
     level, roll, pitch = levelled(log, config.rest_s)
     rates = _rates(log, config)
-    in_gap = log.timing.bridged(at, LAG_S + 1.0 / config.rate_hz, LAG_S + 1.0 / config.rate_hz)
-    bridged = in_gap | ~near
-    first = _calibrated_from(speed, known & ~bridged, config)
-    if in_gap[:first].any():
-        raise InputError(
-            f"the log must be without gaps until its calibration ends, {at[first] - at[0]:.1f} s after the start, has "
-            f"{log.timing.note}: lower calibration_s, or cut the log after the gap"
-        )
+    first, bridged = _calibrated_from(log, at, speed, known, near, config)
     part = np.flatnonzero(known[:first] & ~bridged[:first] & (speed[:first] > MOVING_MPS))
-    seconds = part.size / config.rate_hz
-
-    def sensed(value: Array, lag: float) -> Array:
-        within = np.clip(at + lag, log.gps_time_s[0], log.gps_time_s[-1])
-        return averaged(log.gps_time_s, value, within, config.rate_hz)
-
+    seconds, sensed = part.size / config.rate_hz, partial(_sensed, log, at, config.rate_hz)
     late, alike = require_lag("the log", turning[part], lambda lag: sensed(rates[:, 2], lag)[part], YAW_RATE)
     turns = require_agreement(YAW_RATE, "deg/s", "the log", turning[part], alike, seconds)
-    moved = float(speed[at < log.gps_time_s[0] + config.rest_s].max(initial=0.0))
-    if moved > REST_MPS:
-        raise InputError(
-            f"the log must begin with {config.rest_s:g} s at rest, moves at {moved:.1f} m/s: give another rest_s"
-        )
+    _require_rest(log, at, speed, config)
     lag = _lag_of_turns(lambda lag: sensed(rates[:, 2], lag)[part], turning[part])
     yaw = sensed(rates[:, 2], lag)
     bias = float((yaw[part] - turning[part]).mean())
@@ -173,12 +147,9 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     azimuth, coherence = _mount(force[part], wanted)
     c, s = math.cos(azimuth), math.sin(azimuth)
     forward = c * force[:, 0] + s * force[:, 1]
+    others = [_rates(replace(log, rate_radps=other), config) for other in _other_gyros(log.rate_radps)]
     pitched, *mirrored = (
-        _integral(at, c * sensed(turned_by[:, 1], lag) - s * sensed(turned_by[:, 0], lag))
-        for turned_by in (
-            rates,
-            *(_rates(replace(log, rate_radps=other), config) for other in _other_gyros(log.rate_radps)),
-        )
+        _integral(at, c * sensed(by[:, 1], lag) - s * sensed(by[:, 0], lag)) for by in (rates, *others)
     )
     pushes = require_agreement(ACCELERATION, "g", "the log", ahead[part], forward[part], seconds)
     climbs = _slopes_agree(track, at, speed, [pitched, *mirrored], part, config)
@@ -200,6 +171,20 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
             for name, found in agreements.items()
         },
     }  # fmt: skip
+
+
+def _sensed(log: ImuLog, at_s: Array, rate_hz: float, value: Array, lag_s: float) -> Array:
+    """Means of values of the log over an epoch around times (T,) plus a lag.  (T,)."""
+    return averaged(log.gps_time_s, value, np.clip(at_s + lag_s, log.gps_time_s[0], log.gps_time_s[-1]), rate_hz)
+
+
+def _require_rest(log: ImuLog, at_s: Array, speed_mps: Array, config: ImuOutageConfig) -> None:
+    """Refuse a log whose car moves in its first ``rest_s``."""
+    moved = float(speed_mps[at_s < log.gps_time_s[0] + config.rest_s].max(initial=0.0))
+    if moved > REST_MPS:
+        raise InputError(
+            f"the log must begin with {config.rest_s:g} s at rest, moves at {moved:.1f} m/s: give another rest_s"
+        )
 
 
 def _require_usable(track: RtkSolution) -> None:
@@ -313,8 +298,7 @@ def _mirrored_text(sensor: str, given: float, better: float) -> str:
 def _reference(track: RtkSolution, at: Array) -> tuple[Array, Array, Array, Bools, Bools]:
     """Position (T, 2), speed, track, whether they are usable and whether they are in no gap (T,), at times; the track
     holds while at rest."""
-    latitude, longitude, _ = geodetic_from_ecef(track.position_ecef_m[0])
-    enu = (track.position_ecef_m - track.position_ecef_m[0]) @ ecef_from_enu_matrix(latitude, longitude)
+    enu = (track.position_ecef_m - track.position_ecef_m[0]) @ enu_axes(track.position_ecef_m[0])
     place = np.stack([np.interp(at, track.gps_time_s, enu[:, k]) for k in range(2)], -1)
     assert track.velocity_neu_mps is not None
     north, east = (np.interp(at, track.gps_time_s, track.velocity_neu_mps[:, k]) for k in range(2))
@@ -367,15 +351,31 @@ def _require_degrees(track: RtkSolution, reported_mps: Array) -> None:
         )
 
 
-def _calibrated_from(speed: Array, known: Bools, config: ImuOutageConfig) -> int:
-    """The epoch at which the car has driven for ``calibration_s``."""
-    driven = np.cumsum((speed > MOVING_MPS) & known) / config.rate_hz
+def _calibrated_from(
+    log: ImuLog, at: Array, speed: Array, known: Bools, near: Bools, config: ImuOutageConfig
+) -> tuple[int, Bools]:
+    """The epoch at which the car has driven for ``calibration_s``, and the epochs at gaps of log or solution (T,).
+
+    Raises
+    ------
+    InputError
+        It does not drive for so long, or the log has a gap before.
+    """
+    in_gap = log.timing.bridged(at, LAG_S + 1.0 / config.rate_hz, LAG_S + 1.0 / config.rate_hz)
+    bridged = in_gap | ~near
+    driven = np.cumsum((speed > MOVING_MPS) & known & ~bridged) / config.rate_hz
     if driven[-1] < config.calibration_s:
         raise InputError(
             f"the drive must move for {config.calibration_s:g} s of calibration, moves for {driven[-1]:.1f} s: "
             "lower calibration_s"
         )
-    return int(np.argmax(driven >= config.calibration_s))
+    first = int(np.argmax(driven >= config.calibration_s))
+    if in_gap[:first].any():
+        raise InputError(
+            f"the log must be without gaps until its calibration ends, {at[first] - at[0]:.1f} s after the start, has "
+            f"{log.timing.note}: lower calibration_s, or cut the log after the gap"
+        )
+    return first, bridged
 
 
 def _mount(force: Array, reference: Array) -> tuple[float, float]:

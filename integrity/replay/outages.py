@@ -16,38 +16,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_figure, risk_text, save, tidy
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
+from lanebound.integrity.core.frames import enu_axes, track_from_enu_matrix
 from lanebound.integrity.monitoring.dead_reckoning_pl import missed_detection_factors
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.comma import Comma, read_comma
-from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
-from lanebound.integrity.replay.reckoning import reckon, turned
-from lanebound.integrity.replay.recording_checks import aligned_comma
+from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, reckon, turned
+from lanebound.integrity.replay.sensor_checks import aligned_comma
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = [
-    "S1_AGE_S",
-    "S1_DRIFT_M",
-    "S1_HEADING_DEG",
-    "S1_SPEED_MPS",
-    "Motion",
-    "OutageConfig",
-    "OutageErrors",
-    "averaged",
-    "by_age",
-    "calibrate",
-    "drift_figure",
-    "motion_of",
-    "run_outages",
-    "sawtooth",
-    "write_outages",
-]
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -121,8 +102,7 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
             "calibration_s or longest_s"
         )
     time = np.arange(0.0, end - start, 1.0 / config.rate_hz)
-    latitude, longitude, _ = geodetic_from_ecef(r.position_ecef_m[0])
-    axes = ecef_from_enu_matrix(latitude, longitude)
+    axes = enu_axes(r.position_ecef_m[0])
     enu, velocity = (r.position_ecef_m - r.position_ecef_m[0]) @ axes, r.velocity_ecef_mps @ axes
     at = start + time
     place = np.stack([np.interp(at, r.time_s, enu[:, k]) for k in range(2)], -1)

@@ -35,8 +35,6 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Tables
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 
-__all__ = ["Entries", "RtkStages", "Signals"]
-
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 

@@ -22,10 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import doubt, measure_bounding
-from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
+from lanebound.integrity.assessment.plotting import save, series_figure
 from lanebound.integrity.assessment.record import AXES, Record
-from lanebound.integrity.assessment.series import series_figure
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.core.progress import Progress, silent
@@ -37,11 +36,10 @@ from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.rinex_observation import read_observations
 from lanebound.integrity.replay.baseline import require_one_site, solve_baseline
 from lanebound.integrity.replay.baseline_report import read_coordinates
-from lanebound.integrity.replay.bridge import BridgeConfig
 from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import WINDOW_S, fit_heading
-from lanebound.integrity.replay.pair_files import find_pair, navigation_files, observation_files
-from lanebound.integrity.replay.reckoning import reckon
+from lanebound.integrity.replay.datasets import find_pair, navigation_files, observation_files
+from lanebound.integrity.replay.reckoning import BridgeConfig, reckon
 from lanebound.integrity.replay.service_epochs import ServiceEpochs, epochs_of_drive, epochs_of_receiver
 from lanebound.integrity.sensors.augmentation import Corrections
 from lanebound.integrity.sensors.gnss import GnssEpoch
@@ -52,16 +50,6 @@ from lanebound.integrity.sky.klobuchar import read_klobuchar
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SkyMask
-
-__all__ = [
-    "ServiceDrive",
-    "config_of",
-    "drive_service",
-    "read_service_epochs",
-    "require_possible",
-    "summarise_service",
-    "write_service",
-]
 
 Ints = NDArray[np.int64]
 

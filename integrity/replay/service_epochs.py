@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, enu_axes, geodetic_from_ecef
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.positioning.smoothing_kernel import HATCH, smooth
@@ -24,15 +24,12 @@ from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.recorded.smartloc import Odometry, SmartLoc
 from lanebound.integrity.replay.code_epochs import LEAST_DBHZ, recorded_epochs
 from lanebound.integrity.replay.code_places import require_gps_time
-from lanebound.integrity.replay.differences import Arc, arc_of, matched, troposphere_m
-from lanebound.integrity.replay.doppler_rates import doppler_rates
-from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.replay.differences import Arc, arc_of, doppler_rates, matched, troposphere_m
 from lanebound.integrity.replay.signal_choice import BAND_MHZ, LETTERS, Choice
 from lanebound.integrity.sky.broadcast import Ephemerides, positions
 from lanebound.integrity.sky.klobuchar import Klobuchar
+from lanebound.integrity.sky.orbit import ranges_and_sights
 from lanebound.integrity.sky.systems import CARRIER_HZ, SPEED_OF_LIGHT_MPS, WAVELENGTH_M, System
-
-__all__ = ["ServiceEpochs", "StationCorrections", "epochs_of_drive", "epochs_of_receiver"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -151,8 +148,7 @@ def epochs_of_receiver(
     require_gps_time("receiver", rover, own.codes, own.choice, table, ionosphere)
     near = own.places()
     origin = near[np.isfinite(near).all(-1)][0]
-    latitude, longitude, _ = geodetic_from_ecef(origin)
-    axes = ecef_from_enu_matrix(latitude, longitude)
+    axes = enu_axes(origin)
     shape = own.arc.known.shape
     los, code, phase = np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape)
     los[..., 2] = 1.0

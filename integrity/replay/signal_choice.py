@@ -22,17 +22,6 @@ from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 
-__all__ = [
-    "BAND_MHZ",
-    "COLUMNS",
-    "LETTERS",
-    "USUAL_CN0_DBHZ",
-    "Choice",
-    "choose_signals",
-    "comparable_cn0",
-    "strength_dbhz",
-]
-
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Strengths = dict[str, dict[str, Array]]
@@ -93,11 +82,11 @@ def choose_signals(
     limits, within = (cn0_min_dbhz, cn0_knee_dbhz), _overlap(rover, base)
     chosen = {}
     for letter in LETTERS:
-        ours, theirs = (
+        at_rover, at_base = (
             _strengths(letter, of, there, limits, False) for of, there in zip((rover, base), within, strict=True)
         )
-        found = _best(letter, ours, theirs, 2) if bands != 1 else None
-        found = found or _best(letter, ours, theirs, 1)
+        found = _best(letter, at_rover, at_base, 2) if bands != 1 else None
+        found = found or _best(letter, at_rover, at_base, 1)
         if found:
             chosen[letter] = found
     if not chosen:
@@ -125,12 +114,12 @@ def _add_further(
     for letter, pairs in chosen.items():
         taken = [pair[0][0] for pair in pairs]
         for band in BAND_MHZ[letter]:
-            ours, theirs = (side.get(band, {}) for side in sides[letter])
+            rover, base = (side.get(band, {}) for side in sides[letter])
             if (band not in taken and bands == 2) or band == taken[0]:
                 continue
             before = pairs[taken.index(band)] if band in taken else None
-            lacking = np.ones(PRNS) if before is None else _shared(ours, theirs, before) < LITTLE
-            gains = {pair: _shared(ours, theirs, pair) * lacking for pair in product(ours, theirs) if pair != before}
+            lacking = np.ones(PRNS) if before is None else _shared(rover, base, before) < LITTLE
+            gains = {pair: _shared(rover, base, pair) * lacking for pair in product(rover, base) if pair != before}
             others = [
                 (float(gain.sum()), pair) for pair, gain in gains.items() if np.count_nonzero(gain >= LITTLE) >= FEWEST
             ]
@@ -144,9 +133,9 @@ def _add_further(
             clocks += 1
 
 
-def _shared(ours: dict[str, Array], theirs: dict[str, Array], pair: Pair) -> Array:
+def _shared(rover: dict[str, Array], base: dict[str, Array], pair: Pair) -> Array:
     """Strength of each PRN (PRNS,) in two codes of a band."""
-    return np.asarray(np.minimum(ours[pair[0]], theirs[pair[1]]))
+    return np.asarray(np.minimum(rover[pair[0]], base[pair[1]]))
 
 
 def _choice(chosen: dict[str, list[Pair]]) -> Choice:
@@ -160,9 +149,9 @@ def _choice(chosen: dict[str, list[Pair]]) -> Choice:
             wavelength[system, column] = SPEED_OF_LIGHT_MPS / (1e6 * BAND_MHZ[letter][code[0]])
             clock[system, column] = free.pop(0) if column else system
     return Choice(
-        {letter: tuple(ours for ours, _ in pairs) for letter, pairs in chosen.items()},
-        {letter: tuple(theirs for _, theirs in pairs) for letter, pairs in chosen.items()}, wavelength,
-        max(len({ours[0] for ours, _ in pairs}) for pairs in chosen.values()), clock,
+        {letter: tuple(at_rover for at_rover, _ in pairs) for letter, pairs in chosen.items()},
+        {letter: tuple(at_base for _, at_base in pairs) for letter, pairs in chosen.items()}, wavelength,
+        max(len({at_rover[0] for at_rover, _ in pairs}) for pairs in chosen.values()), clock,
     )  # fmt: skip
 
 

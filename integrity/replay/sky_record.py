@@ -14,13 +14,11 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.frames import enu_axes
 from lanebound.integrity.recorded.sky_recording import SkyRecording
 from lanebound.integrity.recorded.smartloc import GroundTruth, Pseudoranges, SmartLoc
 from lanebound.integrity.replay.training import code_errors
 from lanebound.integrity.sky.visibility import SignalPath
-
-__all__ = ["SkyRecordConfig", "agreement", "record_sky", "summary"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -92,7 +90,7 @@ def _taken(r: Pseudoranges, keep: Bools) -> Pseudoranges:
 def _way(truth: GroundTruth, time_s: Array) -> tuple[Array, Array, Array]:
     """Position ECEF (T, 3), distance driven (T,) [m] and direction of travel from North (T,) [rad] at times (T,)."""
     path = truth.position_ecef_m
-    axes = ecef_from_enu_matrix(*geodetic_from_ecef(path[0])[:2])
+    axes = enu_axes(path[0])
     step = np.linalg.norm(np.diff(path, axis=0) @ axes[:, :2], axis=-1)
     driven = np.concatenate([[0.0], np.cumsum(step)])
     if driven[-1] < 10.0 * TANGENT_M:
@@ -116,7 +114,7 @@ def _directions(seen_s: Array, ecef_m: Array, time_s: Array, place: Array, headi
     terms = np.polynomial.polynomial.polyvander(seen_s - middle, degree)
     law = np.linalg.lstsq(terms, ecef_m, rcond=None)[0]
     there = np.polynomial.polynomial.polyvander(time_s - middle, degree) @ law
-    axes = ecef_from_enu_matrix(*geodetic_from_ecef(place[0])[:2])  # one local frame is sufficient for a short drive
+    axes = enu_axes(place[0])  # one local frame is sufficient for a short drive
     sight = (there - place) @ axes
     sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
     azimuth = np.arctan2(sight[:, 0], sight[:, 1]) - heading

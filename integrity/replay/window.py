@@ -18,13 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.core.frames import enu_axes
 from lanebound.integrity.positioning.condense import condense_white, gauss_markov_covariance
 from lanebound.integrity.positioning.correlation import bound_correlation
 from lanebound.integrity.positioning.danish import DanishConfig, variance_factor
 from lanebound.integrity.replay.reckoning import turned
-from lanebound.integrity.replay.sagnac import ranges_and_sights
-
-__all__ = ["FIXED_UNKNOWNS", "PSI", "ErrorCourse", "LocalFrame", "WhitenedSystem", "WindowRows", "build", "settle"]
+from lanebound.integrity.sky.orbit import ranges_and_sights
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -69,6 +68,11 @@ class LocalFrame:
 
     origin_ecef_m: Array
     axes: Array
+
+    @classmethod
+    def at(cls, origin_ecef_m: Array) -> LocalFrame:
+        """The frame at a point (3,) [m]."""
+        return cls(origin_ecef_m, enu_axes(origin_ecef_m))
 
     def ecef(self, enu_m: Array) -> Array:
         """Convert local coordinates (..., 3) to ECEF [m]."""

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import InputError, require_finite
-from lanebound.integrity.recorded.series import in_order
-from lanebound.integrity.recorded.source import Lines
+from lanebound.integrity.recorded.source import Lines, in_order
 
 __all__ = ["PUBLISHED", "InertialErrorLaw", "InertialFit", "drift_m", "fit_inertial_law", "read_static_log"]
 

@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import require_in_range
 from lanebound.integrity.core.frames import WGS84_A_M, wrap_angle
+from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS
 
 __all__ = [
-    "EARTH_RATE_RADPS", "MU_M3PS2", "OrbitElements", "nodal_regression_radps", "propagate", "rotated_with_earth",
-    "solve_kepler",
+    "EARTH_RATE_RADPS", "MU_M3PS2", "OrbitElements", "nodal_regression_radps", "propagate", "ranges_and_sights",
+    "rotated_with_earth", "solve_kepler",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -137,3 +138,17 @@ def propagate(elements: OrbitElements, gps_time_s: ArrayLike) -> tuple[Array, Ar
     velocity[..., 0] -= turn * position[..., 1]
     velocity[..., 1] += turn * position[..., 0]
     return position, velocity
+
+
+def ranges_and_sights(satellite_ecef_m: Array, receiver_ecef_m: Array) -> tuple[Array, Array]:
+    """Compute range (...,) [m] and unit vector to the satellite (..., 3) in the Earth-fixed frame at reception.
+
+    satellite_ecef_m (..., 3) in the Earth-fixed frame at transmission, receiver_ecef_m (..., 3). The satellite position
+    is rotated by ``omega tau`` about the axis of the Earth, tau the travel time (IS-GPS-200 20.3.3.4.3.3).
+    """
+    distance = np.linalg.norm(satellite_ecef_m - receiver_ecef_m, axis=-1)
+    for _ in range(2):  # the first correction of tau moves the satellite by 1e-4 m; the second is a reserve
+        angle = EARTH_RATE_RADPS * distance / SPEED_OF_LIGHT_MPS
+        offset = rotated_with_earth(satellite_ecef_m, angle) - receiver_ecef_m
+        distance = np.linalg.norm(offset, axis=-1)
+    return distance, offset / distance[..., None]

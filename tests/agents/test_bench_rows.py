@@ -6,9 +6,8 @@ import re
 
 import pytest
 
-from lanebound.agents.bench import rows
-from lanebound.agents.bench.rows import Row, alternate, median_ratio
-from lanebound.agents.bench.runner import select
+from lanebound.agents.bench import runner
+from lanebound.agents.bench.runner import Row, alternate, median_ratio, select
 from lanebound.agents.cli.bench import bench
 from lanebound.integrity.core.errors import InputError
 
@@ -56,7 +55,7 @@ def test_sides_take_turns_and_rates_are_items_over_elapsed_time(monkeypatch):
 
         return work
 
-    monkeypatch.setattr(rows.time, "perf_counter", lambda: clock["t"])
+    monkeypatch.setattr(runner.time, "perf_counter", lambda: clock["t"])
     rates = alternate({"a": side("a", 0.1, 4), "b": side("b", 0.25, 5)}, rounds=2, seconds=0.45)
     assert calls == ["a", "b", *"aaaaabb" * 2]  # warm-up, then each round in turn until 0.45 s have passed
     assert rates == {"a": pytest.approx([40.0, 40.0]), "b": pytest.approx([20.0, 20.0])}
@@ -64,7 +63,7 @@ def test_sides_take_turns_and_rates_are_items_over_elapsed_time(monkeypatch):
 
 def test_every_side_works_at_least_once_in_each_round(monkeypatch):
     ticks = itertools.count()
-    monkeypatch.setattr(rows.time, "perf_counter", lambda: float(next(ticks)))
+    monkeypatch.setattr(runner.time, "perf_counter", lambda: float(next(ticks)))
     rates = alternate({"only": lambda: 3}, rounds=3, seconds=0.0)
     assert len(rates["only"]) == 3
     assert all(rate > 0.0 for rate in rates["only"])
@@ -83,7 +82,7 @@ def test_a_side_that_does_nothing_is_refused_rather_than_awaited():
 
 
 def test_a_clock_that_stands_still_gives_a_finite_rate(monkeypatch):
-    monkeypatch.setattr(rows.time, "perf_counter", lambda: 7.0)
+    monkeypatch.setattr(runner.time, "perf_counter", lambda: 7.0)
     rates = alternate({"only": lambda: 2}, rounds=1, seconds=0.0)
     assert math.isfinite(rates["only"][0])
 

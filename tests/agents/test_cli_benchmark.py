@@ -18,7 +18,7 @@ from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli import app
 from lanebound.agents.cli import benchmark as command
 from lanebound.agents.cli.benchmark_tables import number, print_results, with_interval
-from lanebound.agents.cli.progress import kept_text, rest_text
+from lanebound.agents.cli.output import kept_text, rest_text
 from lanebound.integrity.core.errors import InputError
 
 

@@ -20,8 +20,8 @@ from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of
 from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli import app
-from lanebound.agents.cli import drive_tables as tables
-from lanebound.agents.cli.progress import _Lines
+from lanebound.agents.cli import drive as tables
+from lanebound.agents.cli.output import _Lines
 from lanebound.agents.drivers import AGENTS, make_agent
 from lanebound.agents.episodes import COLUMNS, EpisodeLog, drive, open_env
 from lanebound.agents.episodes.film import Film

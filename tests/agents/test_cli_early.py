@@ -10,9 +10,8 @@ from typing import get_args
 import pytest
 from typer.testing import CliRunner
 
-from lanebound.agents.cli import app, keys, options
-from lanebound.agents.cli.early import refuse_early, refuse_film, refuse_preset
-from lanebound.agents.cli.static import TABLE
+from lanebound.agents.cli import app, options, static
+from lanebound.agents.cli.static import TABLE, refuse_early, refuse_film, refuse_preset
 from lanebound.agents.cli.static_write import made, text_of
 from lanebound.agents.episodes import open_env
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -98,25 +97,25 @@ def test_presets_that_do_not_exist_are_refused() -> None:
 )
 def test_keys_and_bounds_are_refused_early_as_later(change: str, message: str) -> None:
     given = parse_assignments([change])
-    for refuse in (lambda: keys.refuse_keys("environment", given), lambda: open_env("LaneKeeping", given)):
+    for refuse in (lambda: static.refuse_keys("environment", given), lambda: open_env("LaneKeeping", given)):
         with pytest.raises(ConfigError, match="^" + message.removesuffix("$")):
             refuse()
     with pytest.raises(ConfigError, match=rf"^overrides\.{message.split()[0]}"):
-        keys.refuse_keys("suite", {"overrides": given})
+        static.refuse_keys("suite", {"overrides": given})
 
 
 @pytest.mark.parametrize("root", ["suite", "experiment"])
 def test_a_key_of_an_environment_is_offered_below_overrides(root: str) -> None:
     with pytest.raises(ConfigError, match=f"^duration_s is a key of an environment, not of the {root}: write override"):
-        keys.refuse_keys(root, {"duration_s": 5})
-    keys.refuse_keys(root, {"overrides": {"duration_s": 5}})
+        static.refuse_keys(root, {"duration_s": 5})
+    static.refuse_keys(root, {"overrides": {"duration_s": 5}})
 
 
 def test_what_only_the_configuration_can_judge_passes() -> None:
     for change in ("navigator=services/spp", "navigator.kind=mine:own", "world.lanes=9", "sky=urban", "duration_s=x"):
-        keys.refuse_keys("environment", parse_assignments([change]))
-    keys.refuse_keys("environment", {"navigator": {"kind": "mine:own", "unheard_of": 1}})
-    keys.refuse_keys("experiment", {"settings": {"n_steps": 8}, "imitation": None})
+        static.refuse_keys("environment", parse_assignments([change]))
+    static.refuse_keys("environment", {"navigator": {"kind": "mine:own", "unheard_of": 1}})
+    static.refuse_keys("experiment", {"settings": {"n_steps": 8}, "imitation": None})
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from benchmarks import made_up_outcome, made_up_results, made_up_suite
 
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.cli.overview import SHOWN, overview_rows, print_overview
+from lanebound.agents.cli.benchmark_tables import SHOWN, overview_rows, print_overview
 
 AGENTS = ["nominal", "integrity_aware", "oracle"]
 

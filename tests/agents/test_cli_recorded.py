@@ -11,7 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from lanebound.agents.checkpointing.runner import RunProgress
-from lanebound.agents.cli import app, progress
+from lanebound.agents.cli import app
+from lanebound.agents.cli import output as progress
 from lanebound.agents.cli.recorded import _higher_risk, _limit_blas_threads, _solve, _written_text
 
 

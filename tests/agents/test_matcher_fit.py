@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lanebound.agents.studies.context_drive import CONNECTIONS, SCALES_M, TRAINING, fit, record
 from lanebound.agents.studies.context_study import ContextStudyConfig
-from lanebound.agents.studies.matcher_fit import CONNECTIONS, SCALES_M, TRAINING, fit, record
 from lanebound.integrity.positioning.map_matching.matching import TopologicalConfig
 
 

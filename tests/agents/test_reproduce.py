@@ -9,14 +9,18 @@ import numpy as np
 import pytest
 
 from lanebound.agents.checkpointing.runner import RunProgress
-from lanebound.agents.cli.kinds import resolve
-from lanebound.agents.studies import urban_drive_study as study
-from lanebound.agents.studies.urban_drive import MODES, RISKS, UrbanDriveConfig, outage_lengths_s, risk_key
-from lanebound.agents.studies.urban_drive_study import (
+from lanebound.agents.cli.listing import resolve
+from lanebound.agents.studies import urban_drive as study
+from lanebound.agents.studies.urban_drive import (
     CELLS,
+    MODES,
+    RISKS,
+    UrbanDriveConfig,
     check,
     is_short,
     lookup,
+    outage_lengths_s,
+    risk_key,
     rows_against_paper,
     run_study,
     summarise,

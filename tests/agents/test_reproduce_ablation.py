@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from lanebound.agents.studies import ablation
-from lanebound.agents.studies.urban_drive import UrbanDriveConfig
-from lanebound.agents.studies.urban_drive_study import rows_against_paper
+from lanebound.agents.studies import urban_drive as ablation
+from lanebound.agents.studies.urban_drive import UrbanDriveConfig, rows_against_paper
 
 STUDY = UrbanDriveConfig.preset("studies/urban_drive")
 

@@ -15,17 +15,18 @@ import pytest
 from processes import started
 from typer.testing import CliRunner
 
-from lanebound.agents.checkpointing import pool
-from lanebound.agents.cli import app, progress
-from lanebound.agents.cli.kinds import resolve
-from lanebound.agents.cli.progress import wait_for
-from lanebound.agents.studies import urban_drive_study as study
+from lanebound.agents.checkpointing import runner
+from lanebound.agents.cli import app
+from lanebound.agents.cli import output as progress
+from lanebound.agents.cli.listing import resolve
+from lanebound.agents.cli.output import wait_for
+from lanebound.agents.studies import urban_drive as study
 from lanebound.agents.studies.urban_drive import CELLS, MODES, RISKS, UrbanDriveConfig, risk_key
 
 PROGRAM = str(Path(sys.executable).parent / "lanebound")
 STUBBORN = """
 import time
-from lanebound.agents.cli.progress import resumable, wait_for
+from lanebound.agents.cli.output import resumable, wait_for
 
 def deaf():
     print("ready", flush=True)
@@ -113,7 +114,7 @@ def test_an_interruption_says_what_is_kept_and_how_to_go_on(tmp_path: Path, monk
 
     monkeypatch.setattr(study, "run_study", stop)
     monkeypatch.setattr(progress.os, "_exit", sys.exit)
-    monkeypatch.setattr(pool, "STARTING", Lock())  # it stays acquired
+    monkeypatch.setattr(runner, "STARTING", Lock())  # it stays acquired
     result = run("--out", str(tmp_path))
     assert result.exit_code == 130
     line = result.stderr.splitlines()[-1]

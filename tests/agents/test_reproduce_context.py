@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
-from lanebound.agents.studies import context_tables as made
+from lanebound.agents.studies import context_study as made
 from lanebound.agents.studies.context_drive import (
     DRIVES,
     PHASES,

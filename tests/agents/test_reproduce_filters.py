@@ -9,7 +9,7 @@ from scipy.stats import bootstrap
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
-from lanebound.agents.studies import filter_faults, filter_scenarios, filters
+from lanebound.agents.studies import filter_scenarios, filters
 from lanebound.agents.studies.filters import paired
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import Streams
@@ -25,9 +25,9 @@ def short(monkeypatch):
     )
     monkeypatch.setitem(filter_scenarios.SCENARIOS, "6", trial)
     kind = "spoofing, step of 25 m"
-    monkeypatch.setattr(filters, "FAULTS", {kind: filter_faults.FAULTS[kind]})
+    monkeypatch.setattr(filters, "FAULTS", {kind: filter_scenarios.FAULTS[kind]})
     for name, value in (("WARM_UP_S", 4.0), ("FAULT_S", 6.0), ("AFTER_S", 1.0)):
-        monkeypatch.setattr(filter_faults, name, value)
+        monkeypatch.setattr(filter_scenarios, name, value)
 
 
 def test_a_trial_writes_its_table_and_figures(short, tmp_path):
@@ -51,7 +51,7 @@ def test_a_trial_writes_its_table_and_figures(short, tmp_path):
     assert law["tau [s]"][1] == pytest.approx(500.0, rel=0.2)
     assert law["drift in 60 s, uncorrected [m]"][1] == pytest.approx(12.9, abs=1.0)
     assert 0.0 < law["drift in 60 s, corrected [m]"][1] < 0.7
-    rows = filters.table_rows(json.loads((out / "tables.json").read_text()))
+    rows = filters.table_rows(json.loads((out / "tables.json").read_text()))[1]
     assert rows[[r[1] for r in rows].index("max IMM-EKF")][:3] == ("6", "max IMM-EKF", "15")
 
 
@@ -94,7 +94,7 @@ def test_sharp_turns_of_390_m_with_slip_by_all_models_and_with_a_calibrated_gyro
     assert plain == result["scenarios"]["10"]["figures"]["max IMM-EKF"][1]
     assert calibrated < 3.0
     assert calibrated < 0.7 * plain
-    assert len(filters.sharp_rows(result)) == 2
+    assert len(filters.sharp_rows(result)[1]) == 2
     figures = result["scenarios"]["10"]["figures"]
     for other in ("SM-EKF", filter_scenarios.WIDE, filter_scenarios.CURVED):  # each single model is compared
         assert f"rms of {other} less IMM-EKF, p of a difference" in figures

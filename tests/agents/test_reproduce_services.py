@@ -10,17 +10,22 @@ import pytest
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
-from lanebound.agents.studies import service_drives, services
-from lanebound.agents.studies.service_drives import NO_DOP, _arrive, approach, converge, hdop, streets_of
+from lanebound.agents.studies import services
 from lanebound.agents.studies.services import (
+    NO_DOP,
     ServiceStudyConfig,
+    _arrive,
     _drive,
     _figures,
+    approach,
+    converge,
     convergence_rows,
+    hdop,
     mixed_rows,
     published_rows,
     run_services,
     service_rows,
+    streets_of,
     work_street,
 )
 from lanebound.agents.studies.street_drives import navigator_of
@@ -148,7 +153,7 @@ def test_a_street_is_built_once_and_the_approach_is_driven_once_for_skies_of_the
     built, driven, small = [], [], SkyMask.build
     monkeypatch.setattr(SkyMask, "build", lambda *a, **k: built.append(1) or small(*a, **k))
     monkeypatch.setattr(
-        service_drives, "approach", lambda *a: driven.append(1) or approach(*a)
+        services, "approach", lambda *a: driven.append(1) or approach(*a)
     )  # of a way in the open, before the street
     config = ServiceStudyConfig(
         seeds=1, cases=("spp", "ppp"), skies=("suburban", "urban", "dense"), vehicles=2, duration_s=1.0, warm_up_s=1.0,

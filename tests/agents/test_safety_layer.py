@@ -18,7 +18,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from lanebound.agents.benchmark import SuiteConfig
-from lanebound.agents.cli.early import refuse_early
+from lanebound.agents.cli.static import refuse_early
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.rules import RULES, RuleBook, SafetyRules

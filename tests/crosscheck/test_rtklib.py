@@ -16,12 +16,12 @@ from recordings import real
 from rtklib_solution import read_solution
 
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
-from lanebound.integrity.positioning.ambiguity import integer_least_squares
 from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 from lanebound.integrity.sky.broadcast import positions, read_navigation
 from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS, rotated_with_earth
 from lanebound.integrity.sky.systems import PRN_BEFORE, System
+from plain_ambiguity import integer_least_squares
 from plain_least_squares import dilution
 
 Program = Callable[..., Path]

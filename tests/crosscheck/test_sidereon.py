@@ -7,11 +7,11 @@ import pytest
 from navigation_texts import GPS_RECORD, HEADER
 from plain_araim import araim
 
-from lanebound.agents.bench._sidereon import Araim
+from lanebound.agents.bench.positioning import Araim
 from lanebound.integrity.monitoring.araim import AraimConfig
-from lanebound.integrity.positioning.ambiguity import integer_least_squares
 from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.sky.broadcast import parse_navigation
+from plain_ambiguity import integer_least_squares
 from plain_least_squares import dilution
 
 sidereon = pytest.importorskip("sidereon", reason="the independent package sidereon is not installed")

@@ -12,7 +12,7 @@ from highway_env.envs import HighwayEnv
 from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
-from lanebound.agents.cli.kinds import resolve
+from lanebound.agents.cli.listing import resolve
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.manual import markdown
 from lanebound.envs.records import azimuth_of, enu_of

@@ -10,9 +10,9 @@ from navigation_texts import record
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic
 from lanebound.integrity.recorded.rinex_header import Header
 from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
-from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.sky.broadcast import positions
 from lanebound.integrity.sky.ephemeris import Ephemerides
+from lanebound.integrity.sky.orbit import ranges_and_sights
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 
 WEEK, TOW = 2320, 116_400.0

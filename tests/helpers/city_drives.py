@@ -9,7 +9,7 @@ import numpy as np
 
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic
 from lanebound.integrity.recorded.smartloc import GroundTruth, Odometry, Pseudoranges, SmartLoc
-from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.sky.orbit import ranges_and_sights
 
 __all__ = ["ELEVATION_DEG", "SIGMA_M", "SPEED_MPS", "as_files", "heading_at", "simulated", "walled"]
 

@@ -1,7 +1,7 @@
 """Mark the result pages that were not made with the present defaults: ``python tests/helpers/result_pages.py``.
 
 ``docs/results/index.md`` numbers the states of the defaults; its last row is the present one, with its digest
-(:func:`lanebound.agents.checkpointing.defaults.defaults_digest`). Every page names its state in a line
+(:func:`lanebound.agents.checkpointing.folder.defaults_digest`). Every page names its state in a line
 ``**Defaults.**``. A page of an earlier state says so in its first line, which this writes and removes. A page may add
 the digest that ``run.json`` of its result files has: ``[Defaults 6](index.md#defaults), digest `abcdef12` ``.
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lanebound.integrity.assessment.double_differences import RtkSignals
+from lanebound.integrity.assessment.conventional_rtk import RtkSignals
 from lanebound.integrity.sky.systems import WAVELENGTH_M, System
 
 TRUE_M = np.array([12.3, -45.6, 1.5])

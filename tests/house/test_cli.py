@@ -13,7 +13,7 @@ import typer
 from typer.testing import CliRunner
 
 from lanebound.agents.bench import runner
-from lanebound.agents.cli import app, kinds
+from lanebound.agents.cli import app, listing
 from lanebound.agents.cli.advice import explain
 from lanebound.agents.cli.output import format_value
 from lanebound.integrity.core import presets
@@ -40,7 +40,7 @@ def toy_presets(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "toy_cli_presets", raising=False)
     monkeypatch.setattr(presets, "PRESET_PACKAGE", "toy_cli_presets")
-    monkeypatch.setitem(kinds.KINDS, "toy", f"{__name__}:Toy")
+    monkeypatch.setitem(listing.KINDS, "toy", f"{__name__}:Toy")
 
 
 def run(*arguments: str):
@@ -197,7 +197,7 @@ NEEDED = {
 }  # all other kinds have a default for everything
 
 
-@pytest.mark.parametrize("kind", sorted(kinds.KINDS))
+@pytest.mark.parametrize("kind", sorted(listing.KINDS))
 def test_every_kind_names_a_configuration(kind, tmp_path, monkeypatch):
     package = tmp_path / f"kind_presets_{kind}"
     package.mkdir()
@@ -206,7 +206,7 @@ def test_every_kind_names_a_configuration(kind, tmp_path, monkeypatch):
     (package / "plain.yaml").write_text(text if "kind:" in text else f"kind: {kind}\n{text}", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(presets, "PRESET_PACKAGE", package.name)
-    found, config = kinds.resolve("plain")
+    found, config = listing.resolve("plain")
     assert found == kind
     assert isinstance(config, Config)
 
@@ -217,13 +217,15 @@ def toy_bench(tmp_path, monkeypatch):
     package = tmp_path / "toy_cli_bench"
     package.mkdir()
     (package / "__init__.py").touch()
-    row = "from lanebound.agents.bench.rows import Row\ndef measure(rounds=5):\n    return [Row({}, {}, 'x', {})]\n"
-    (package / "quick.py").write_text(row.format("'quick_ratio'", "12.0 * rounds", "10.0"), encoding="utf-8")
-    (package / "bare.py").write_text(row.format("'bare_ratio'", "1.0", "None"), encoding="utf-8")
-    (package / "bad.py").write_text("def measure(rounds=5):\n    raise RuntimeError('no [b]luck[/b]')\n", "utf-8")
+    head = "from lanebound.agents.bench.runner import Row\n"
+    row = head + "def measure_{}(rounds=5):\n    return [Row({}, {}, 'x', {})]\n"
+    (package / "quick.py").write_text(row.format("quick", "'quick_ratio'", "12.0 * rounds", "10.0"), encoding="utf-8")
+    (package / "bare.py").write_text(row.format("bare", "'bare_ratio'", "1.0", "None"), encoding="utf-8")
+    (package / "bad.py").write_text("def measure_bad(rounds=5):\n    raise RuntimeError('no [b]luck[/b]')\n", "utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "toy_cli_bench", raising=False)
     monkeypatch.setattr(runner, "BENCH_PACKAGE", "toy_cli_bench")
+    monkeypatch.setattr(runner, "BENCHES", {name: name for name in ("bad", "bare", "quick")})
     monkeypatch.chdir(tmp_path)
     yield tmp_path
     for name in [name for name in sys.modules if name.startswith("toy_cli_bench")]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from result_pages import marked, pages, present_state, wrong_digests
 
-from lanebound.agents.checkpointing.defaults import defaults_digest
+from lanebound.agents.checkpointing.folder import defaults_digest
 
 
 def test_the_last_row_of_the_table_has_the_digest_of_the_present_defaults() -> None:

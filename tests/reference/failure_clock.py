@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.events import EPS_S
+from lanebound.integrity.assessment.record import EPS_S
 
 __all__ = ["FailureClock"]
 

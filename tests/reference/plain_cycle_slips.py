@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning import cycle_slips_kernel as kernel
-from lanebound.integrity.positioning.ambiguity import bootstrap_failure_rate, decorrelate, integer_least_squares
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
+from plain_ambiguity import bootstrap_failure_rate, decorrelate, integer_least_squares
 
 __all__ = ["RepairStatus", "SlipEvidence", "detect", "remove_common", "repair"]
 

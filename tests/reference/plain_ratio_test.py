@@ -24,8 +24,8 @@ from pydantic import Field
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError, require_probability
 from lanebound.integrity.positioning import ratio_kernel as kernel
-from lanebound.integrity.positioning.ambiguity import bootstrap_failure_rate, decorrelate
 from lanebound.integrity.positioning.lambda_kernel import OK, search, search_scratch
+from plain_ambiguity import bootstrap_failure_rate, decorrelate
 
 __all__ = [
     "RatioTestConfig",

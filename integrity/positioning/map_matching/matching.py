@@ -44,7 +44,7 @@ class TopologicalConfig(Config):
 
     The form is that of weight-based matchers (Quddus 2003, Velaga 2009, and S5's source): heading, proximity and
     connection. The ratio of heading and distance is chosen: heading first, as in S5's fuzzy weights. Scale and
-    connection are fitted on maps that no result uses (``agents.studies.matcher_fit``). A large connection keeps a
+    connection are fitted on maps that no result uses (``agents.studies.context_drive``). A large connection keeps a
     wrong choice: it outweighs ``connection / distance * scale_m`` of distance.
     """
 

@@ -12,8 +12,8 @@ from benchmarks import made_up_outcome, made_up_suite
 from lanebound.agents.benchmark.fault_rates import RATES, FaultCell, fault_cells, fault_rates
 from lanebound.agents.benchmark.outcome import Outcome, Place, Task
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.cli.fault_tables import print_given_fault
-from lanebound.integrity.assessment.bounding import clopper_pearson
+from lanebound.agents.cli.benchmark_tables import print_given_fault
+from lanebound.integrity.assessment.accuracy import clopper_pearson
 from lanebound.integrity.core.streams import named_generator
 
 EXPECTED = {"cycle_slip": 0.03, "corrections_loss": 0.02, "spoofing": 1e-5}

@@ -17,9 +17,8 @@ from work import HELD
 from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.checkpointing import folder as folders
-from lanebound.agents.checkpointing.defaults import defaults_digest
 from lanebound.agents.checkpointing.files import make_folder, read_json, replace_file, write_json
-from lanebound.agents.checkpointing.folder import MANIFEST, ResultFolder, code_digest, locked
+from lanebound.agents.checkpointing.folder import MANIFEST, ResultFolder, code_digest, defaults_digest, locked
 from lanebound.agents.cli import app
 from lanebound.agents.learning.experiment import ExperimentConfig
 from lanebound.agents.learning.training import train

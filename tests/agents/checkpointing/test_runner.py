@@ -9,8 +9,16 @@ from typing import Any
 import pytest
 from work import Squares, leave, squared
 
-from lanebound.agents.checkpointing.pool import InProcess, PartStatus, Pool, one_thread
-from lanebound.agents.checkpointing.runner import Counter, RunProgress, run_parts, run_work
+from lanebound.agents.checkpointing.runner import (
+    Counter,
+    InProcess,
+    PartStatus,
+    Pool,
+    RunProgress,
+    one_thread,
+    run_parts,
+    run_work,
+)
 from lanebound.integrity.core.errors import InputError
 
 

@@ -23,9 +23,8 @@ from lanebound.agents.report.charts import (
     trace,
 )
 from lanebound.envs.costs import CAUSES
-from lanebound.integrity.assessment.events import Zone
 from lanebound.integrity.assessment.plotting import MODE_COLOURS
-from lanebound.integrity.assessment.record import Record
+from lanebound.integrity.assessment.record import Record, Zone
 from lanebound.integrity.positioning.modes import Mode
 
 COST, RETURN = ParetoAxis("cost", "", "lower"), ParetoAxis("return", "", "higher")

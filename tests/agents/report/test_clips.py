@@ -11,7 +11,7 @@ from imageio_ffmpeg import count_frames_and_secs, write_frames
 
 from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.work import DrivenEpisodes
-from lanebound.agents.checkpointing.pool import PartStatus
+from lanebound.agents.checkpointing.runner import PartStatus
 from lanebound.agents.report.write import LAST_S, film_clip, shrink
 
 

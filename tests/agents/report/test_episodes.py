@@ -8,8 +8,8 @@ from benchmarks import LIMITS_M, made_up_folder, made_up_outcome, made_up_rows, 
 
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.store import EpisodeStore
-from lanebound.agents.report.episodes import pooled, trace_of, what_happened, worst_of
 from lanebound.agents.report.style import actors_of
+from lanebound.agents.report.views import pooled, trace_of, what_happened, worst_of
 
 SUITE = made_up_suite(
     envs=["LaneKeeping"], skies=["urban"], seeds={"count": 3}, agents=["random", "nominal", "cautious"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from lanebound.agents.studies.alert_limits import DIRECTIONS, AlertLimitsConfig, assess_alert_limits, tables
+from lanebound.agents.studies.limits import DIRECTIONS, AlertLimitsConfig, alert_tables, assess_alert_limits
 from lanebound.integrity.core.errors import InputError
 
 
@@ -22,7 +22,7 @@ def test_errors_below_and_above_the_limits_are_told_apart(tmp_path: Path) -> Non
     assert fixed["errors"]["below"]["ahead"]["alerts"] == 0.0
     worst = {kind: max(e["cost"] for e in part["kinds"][kind]["errors"]["below"].values()) for kind in part["kinds"]}
     assert worst["budget"] < part["cost_limit"] < worst["fixed"]
-    rows = tables(found)["costs"][1]
+    rows = alert_tables(found)["costs"][1]
     assert [row[:3] for row in rows] == [["LaneKeeping", "fixed", "15"], ["LaneKeeping", "budget", "15"]]
     assert [row[4].startswith("**") for row in rows] == [True, False], "harm on the wrong side is bold"
     assert assess_alert_limits(config, tmp_path) == found, "a run is resumed"

@@ -21,7 +21,7 @@ from lanebound.agents.studies.bounding import (
     summarise,
     work_part,
 )
-from lanebound.integrity.assessment.importance import FaultSize
+from lanebound.integrity.assessment.exceedance import FaultSize
 from lanebound.integrity.core.errors import InputError
 
 SHORT = BoundingConfig(

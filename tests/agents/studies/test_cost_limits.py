@@ -10,15 +10,15 @@ import pytest
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
-from lanebound.agents.studies.cost_limits import (
-    SECTIONS,
+from lanebound.agents.studies.limits import (
+    COST_SECTIONS,
     CostLimitsConfig,
+    cost_tables,
+    first_episodes,
     interval_of_quantile,
     limit_by_rule,
-    tables,
     tune_cost_limits,
 )
-from lanebound.agents.studies.first_episodes import first_episodes
 from lanebound.envs.costs import GROUPS
 from lanebound.integrity.core.errors import ConfigError, InputError
 
@@ -61,10 +61,10 @@ def test_two_drives_give_limits_that_are_resumed_and_written_into_a_page(tmp_pat
     assert part["mean"] + 2.0 <= part["limit_in_mean"] < 2.0 * (part["mean"] + 2.0), "rounded up to a digit"
     assert part["limits"]["headway"] is None, "there is nobody ahead"
     assert any(0.0 < share < 1.0 for share in told), "a part is seen to go on"
-    assert [row[:2] for row in tables(found)["limits"][1]] == [("LaneKeeping", "urban")]
+    assert [row[:2] for row in cost_tables(found)["limits"][1]] == [("LaneKeeping", "urban")]
     assert tune_cost_limits(config, tmp_path / "out") == found
     page = tmp_path / "page.md"
-    page.write_text("".join(f"<!-- {name} -->\n<!-- end of {name} -->\n" for name in SECTIONS))
+    page.write_text("".join(f"<!-- {name} -->\n<!-- end of {name} -->\n" for name in COST_SECTIONS))
     command = ["tune", "limits", "--out", str(tmp_path / "out"), "--env", "LaneKeeping", "--seeds", "2"]
     command += ["--set", "overrides.duration_s=8.0", "--page", str(page), "--json"]
     shown = CliRunner().invoke(app, command)

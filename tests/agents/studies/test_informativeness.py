@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lanebound.agents.studies import informativeness as info
+from lanebound.agents.studies import in_the_loop as info
 from lanebound.agents.studies.street_drives import drive_street
 from lanebound.integrity.positioning.modes import Mode
 

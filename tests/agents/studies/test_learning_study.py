@@ -19,14 +19,14 @@ from lanebound.agents.cli import app
 from lanebound.agents.learning.evaluation import learnt_agent
 from lanebound.agents.studies import learning as room
 from lanebound.agents.studies.learning import (
-    BESIDE,
+    COMPARED,
     SHOWN,
     LearningStudyConfig,
     Pace,
     adjust,
     beside_suite,
     higher,
-    kept_oftener,
+    kept_more_often,
     load_study,
     measured,
     plan,
@@ -107,7 +107,7 @@ def test_the_time_of_a_study_is_that_of_its_decisions(monkeypatch: pytest.Monkey
     assert measured(plan(study).trainings[0].experiment(study)) == Pace(0.25 + room.LEARNING_S, 0.25, 15.0)
     monkeypatch.setattr(room, "measured", lambda planned: Pace(0.5, 2.0, 15.0))
     of_one, of_a_driver = 64 * 0.5 + (2 * 1 + 3) * 15 * 0.5, 3 * 15 * 2.0
-    assert study_hours(study, plan(study)) == pytest.approx((2 * of_one + len(BESIDE) * of_a_driver) / 3600.0)
+    assert study_hours(study, plan(study)) == pytest.approx((2 * of_one + len(COMPARED) * of_a_driver) / 3600.0)
 
 
 def test_the_folder_is_refused_before_any_speed_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,7 +224,7 @@ def test_who_keeps_the_limit_oftener_is_tested_in_pairs() -> None:
     parts = [training("blind", seed, 16.0) for seed in range(6)] + [training("seeing", seed, 15.0) for seed in range(5)]
     parts += [training(arm, 0, 1.0, "dense") for arm in ("blind", "seeing")] + [training("seeing", 1, 1.0, "dense")]
     arms = {"blind": (), "seeing": ("blind",), "unlearnt": ("blind", "seeing")}
-    first, *others = kept_oftener(parts, arms)
+    first, *others = kept_more_often(parts, arms)
     assert {**first, "p": None} == {
         "arm": "seeing", "other": "blind", "n": 6, "first": 6, "second": 1, "first_alone": 5, "second_alone": 0,
         "p": None,

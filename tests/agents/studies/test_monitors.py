@@ -12,11 +12,17 @@ from city_drives import as_files, simulated
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
-from lanebound.agents.cli.kinds import resolve
+from lanebound.agents.cli.listing import resolve
 from lanebound.agents.studies import monitored_drives
 from lanebound.agents.studies import monitors as module
-from lanebound.agents.studies.fit_errors import FitErrorsConfig, code_errors_of, fit_errors
-from lanebound.agents.studies.monitored_drives import CampaignConfig, alert_times, simulated_epochs
+from lanebound.agents.studies.monitored_drives import (
+    CampaignConfig,
+    FitErrorsConfig,
+    alert_times,
+    code_errors_of,
+    fit_errors,
+    simulated_epochs,
+)
 from lanebound.agents.studies.monitors import MonitorsConfig, assess_monitors, monitor_rows, write_page
 from lanebound.agents.studies.street_drives import StreetDrivesConfig
 from lanebound.integrity.core.errors import ConfigError, InputError

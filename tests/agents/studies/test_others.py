@@ -41,7 +41,7 @@ def test_a_study_of_few_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     result = assess_others(OthersConfig(episodes=8, exchanges=99), env, tmp_path / "out")
     recordings._recordings.cache_clear()
     assert json.loads((tmp_path / "out" / "results.json").read_text())["tests"].keys() == {"same", "other"}
-    rows = difference_rows(result)
+    rows = difference_rows(result)[1]
     assert len(rows) == 18
     assert all(0.0 < test["p"] <= 1.0 for kind in result["tests"].values() for test in kind.values())
     with pytest.raises(InputError, match="layouts must be 3 or more for a test by city, got 2"):

@@ -8,7 +8,7 @@ from scipy.stats import binom, chi2
 from signed_w import w_statistics
 
 from lanebound.integrity.assessment.drift_model import DriftConfig, Outage, draw_drift
-from lanebound.integrity.assessment.measurement_model import Case, draw_case
+from lanebound.integrity.assessment.exceedance import Case, draw_case
 from lanebound.integrity.monitoring.detection import (
     adjust,
     diagonal_covariance,

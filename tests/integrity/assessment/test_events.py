@@ -11,14 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.events import (
-    Zone,
-    alert_delays,
-    classify,
-    find_events,
-    running_age_s,
-)
-from lanebound.integrity.assessment.record import Record
+from lanebound.integrity.assessment.record import Record, Zone, alert_delays, classify, find_events, running_age_s
 from lanebound.integrity.core.errors import InputError
 
 

@@ -9,12 +9,15 @@ from lanebound.integrity.assessment.exceedance import (
     LARGEST_FAULT,
     STRATA,
     ExceedanceCounts,
+    Form,
+    Prepared,
+    draw_case,
     expected_fault_free,
+    fault_chance,
     least_fault_free,
+    prepare,
     tally,
 )
-from lanebound.integrity.assessment.importance import fault_chance
-from lanebound.integrity.assessment.measurement_model import Form, Prepared, draw_case, prepare
 from lanebound.integrity.monitoring.risk import RiskConfig
 
 RISKS = [0.2, 0.02]

@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.assessment.accuracy import assess
-from lanebound.integrity.assessment.events import Zone
-from lanebound.integrity.assessment.plotting import save
-from lanebound.integrity.assessment.record import Record
-from lanebound.integrity.assessment.series import map_figure, series_figure
-from lanebound.integrity.assessment.stanford import count_zones, stanford_figure
+from lanebound.integrity.assessment.plotting import count_zones, map_figure, save, series_figure, stanford_figure
+from lanebound.integrity.assessment.record import Record, Zone
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning.modes import Mode
 

@@ -9,16 +9,21 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from lanebound.integrity.assessment.exceedance import ExceedanceCounts, expected_fault_free, tally
-from lanebound.integrity.assessment.importance import (
+from lanebound.integrity.assessment.exceedance import (
+    ExceedanceCounts,
     FaultSize,
+    Form,
+    Prepared,
+    draw_case,
+    expected_fault_free,
     expected_one_fault,
     fault_chance,
     importance_rates,
     mean_and_deviation,
+    prepare,
+    tally,
     worst_fault,
 )
-from lanebound.integrity.assessment.measurement_model import Form, Prepared, draw_case, prepare
 from lanebound.integrity.monitoring.risk import RiskConfig, pair_risk
 
 UNEVEN = RiskConfig(satellite_prior=(2e-3, 5e-4, 1e-3, 5e-4, 5e-4))

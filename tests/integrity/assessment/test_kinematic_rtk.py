@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lanebound.integrity.assessment.conventional_rtk import ConventionalRtkConfig, RtkOutcome, solve_epoch
-from lanebound.integrity.assessment.double_differences import RtkSignals
-from lanebound.integrity.assessment.kinematic_rtk import KinematicConfig, KinematicFilter
+from lanebound.integrity.assessment.conventional_rtk import (
+    ConventionalRtkConfig,
+    KinematicConfig,
+    KinematicFilter,
+    RtkOutcome,
+    RtkSignals,
+    solve_epoch,
+)
 from tests.helpers.rtk_signals import TRUE_M, signals
 
 CONFIG = ConventionalRtkConfig()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plain_closed_form import plain_levels
 
-from lanebound.integrity.assessment.measurement_model import Case, Form, Worst, draw_case, prepare
+from lanebound.integrity.assessment.exceedance import Case, Form, Worst, draw_case, prepare
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance

@@ -9,12 +9,15 @@ from scipy.stats import binom, norm
 from lanebound.integrity.assessment.accuracy import (
     accuracy_by_mode,
     availability_by_mode,
+    bounding_by_mode,
+    clopper_pearson,
+    doubt,
     find_outages,
     integrity_available,
     measure_accuracy,
+    measure_bounding,
     mode_share,
 )
-from lanebound.integrity.assessment.bounding import bounding_by_mode, clopper_pearson, doubt, measure_bounding
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning.modes import Mode

@@ -1,6 +1,6 @@
 """Power of the speed phase: which form sees which fault."""
 
-from lanebound.integrity.assessment.speed_power import SpeedPowerConfig, rest_power, speed_power
+from lanebound.integrity.assessment.warning_rates import SpeedPowerConfig, rest_power, speed_power
 from lanebound.integrity.monitoring.context.monitor import ContextConfig
 from lanebound.integrity.monitoring.context.speed_phase import SpeedPhaseConfig
 

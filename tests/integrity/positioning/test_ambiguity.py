@@ -5,12 +5,8 @@ import pytest
 from scipy.stats import binom, norm
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.positioning.ambiguity import (
-    SearchStatus,
-    bootstrap_failure_rate,
-    integer_least_squares,
-    resolve,
-)
+from lanebound.integrity.positioning.ambiguity import SearchStatus, resolve
+from plain_ambiguity import bootstrap_failure_rate, integer_least_squares
 
 Q2 = np.array([[0.09, 0.05], [0.05, 0.08]])
 BOTH = pytest.mark.parametrize("solve", [resolve, integer_least_squares])

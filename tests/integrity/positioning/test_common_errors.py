@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.bounding import clopper_pearson
+from lanebound.integrity.assessment.accuracy import clopper_pearson
 from lanebound.integrity.monitoring.family.weighting import CodeBudget
 from lanebound.integrity.navigators.services.config import ServicesConfig
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget

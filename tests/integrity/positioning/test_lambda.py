@@ -9,12 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lanebound.integrity.positioning import lambda_kernel as kernel
-from lanebound.integrity.positioning.ambiguity import (
-    bootstrap_failure_rate,
-    decorrelate,
-    integer_least_squares,
-    resolve,
-)
+from lanebound.integrity.positioning.ambiguity import resolve
+from plain_ambiguity import bootstrap_failure_rate, decorrelate, integer_least_squares
 
 Array = NDArray[np.float64]
 # de Jonge & Tiberius (1996), LGR series 12, the three-ambiguity example used throughout

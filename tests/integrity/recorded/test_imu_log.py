@@ -12,7 +12,7 @@ import pytest
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.imu_log import G_MPS2, levelled, read_imu_log
-from lanebound.integrity.recorded.time_scales import GPS_EPOCH_S
+from lanebound.integrity.recorded.source import GPS_EPOCH_S
 
 START = 1_751_999_658  # 2025-07-08 18:34:18 by GPS time, in seconds since 1970
 ROLL, PITCH = np.deg2rad(3.0), np.deg2rad(-5.0)

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.series import in_order, notes, require_degrees
-from lanebound.integrity.recorded.source import Stop
-from lanebound.integrity.recorded.time_scales import leap_seconds, unrolled
+from lanebound.integrity.recorded.source import Stop, in_order, leap_seconds, notes, require_degrees, unrolled
 
 TIME = 0.01 * np.arange(1000)
 

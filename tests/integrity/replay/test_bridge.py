@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.monitoring.risk import RiskConfig
-from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
+from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig
 
 SIGMA = np.ones(2)
 STILL = BridgeConfig(heading_sigma_deg=0.0, heading_walk_deg_per_sqrt_s=0.0, speed_sigma_mps=1e-9)

@@ -17,8 +17,7 @@ from lanebound.integrity.monitoring.alerts import AlertConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import Odometry, Pseudoranges, SmartLoc
 from lanebound.integrity.replay.city import CityReplay, CodeReplayConfig, drive_city, replay_city, write_city
-from lanebound.integrity.replay.overbound import CodeErrors
-from lanebound.integrity.replay.training import code_errors
+from lanebound.integrity.replay.training import CodeErrors, code_errors
 
 BOUNDS = CodeErrors(np.array([30.0, 50.0]), np.zeros(2), np.full(2, SIGMA_M), 0.0)
 QUICK = CodeReplayConfig(window_s=10.0)

@@ -15,7 +15,7 @@ from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.monitor import watch
 from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
 from lanebound.integrity.replay.code_epochs import recorded_epochs
-from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.sky.orbit import ranges_and_sights
 
 
 def quiet(drive: SmartLoc) -> SmartLoc:

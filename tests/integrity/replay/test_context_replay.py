@@ -24,8 +24,13 @@ from lanebound.integrity.monitoring.context.monitor import ContextReason
 from lanebound.integrity.positioning.map_matching.road_map import NO_LINK
 from lanebound.integrity.recorded.comma import read_comma
 from lanebound.integrity.recorded.road_file import read_roads
-from lanebound.integrity.replay.context_drive import drive_context, network_near
-from lanebound.integrity.replay.context_epochs import ContextReplayConfig, picked, read_context_epochs
+from lanebound.integrity.replay.context_drive import (
+    ContextReplayConfig,
+    drive_context,
+    network_near,
+    picked,
+    read_context_epochs,
+)
 from lanebound.integrity.replay.datasets import replay_folder
 from lanebound.integrity.replay.window import LocalFrame
 

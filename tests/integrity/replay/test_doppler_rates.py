@@ -10,7 +10,7 @@ from baselines import AXES, CODES, PLACE, receiver, sky
 
 from lanebound.integrity.positioning.code_solution import solve_ranges
 from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
-from lanebound.integrity.replay.doppler_rates import carrier_rates, doppler_rates
+from lanebound.integrity.replay.differences import carrier_rates, doppler_rates
 from lanebound.integrity.replay.service_epochs import epochs_of_receiver
 from lanebound.integrity.sky.klobuchar import Klobuchar
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import ndtri
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.replay.overbound import CodeErrors, fit_overbound, gaussian_bound, lasting_s
+from lanebound.integrity.replay.training import CodeErrors, fit_overbound, gaussian_bound, lasting_s
 
 
 def test_a_normal_sample_is_bounded_by_about_itself() -> None:

@@ -16,9 +16,13 @@ from lanebound.agents.cli import app
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import geodetic_from_ecef
 from lanebound.integrity.recorded.rinex_observation import read_observations
-from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
+from lanebound.integrity.replay.baseline_report import (
+    navigation_notes,
+    read_coordinates,
+    require_two_receivers,
+    run_baseline,
+)
 from lanebound.integrity.replay.datasets import replay_folder
-from lanebound.integrity.replay.pair_checks import navigation_notes, require_two_receivers
 from lanebound.integrity.sky.broadcast import parse_navigation
 
 ROVER, FAR = PLACE + AXES @ [50.0, 40.0, 2.0], PLACE + AXES @ [300.0, 0.0, 0.0]

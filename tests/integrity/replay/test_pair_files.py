@@ -13,8 +13,7 @@ from recordings import real
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.replay.baseline import solve_baseline
-from lanebound.integrity.replay.datasets import kind_of
-from lanebound.integrity.replay.pair_files import find_pair
+from lanebound.integrity.replay.datasets import find_pair, kind_of
 from lanebound.integrity.sky.ephemeris import Ephemerides
 from lanebound.integrity.sky.rinex_navigation import parse_navigation, read_navigation
 

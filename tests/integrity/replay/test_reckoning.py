@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lanebound.integrity.replay.reckoning import reckon, turned
-from lanebound.integrity.replay.sagnac import ranges_and_sights
-from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS
+from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS, ranges_and_sights
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS
 
 

@@ -12,10 +12,10 @@ import pytest
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic
 from lanebound.integrity.recorded.comma import Comma, ReceiverFixes, Reference, Series, read_comma
-from lanebound.integrity.recorded.series import in_order
 from lanebound.integrity.recorded.smartloc import GroundTruth, Odometry, SmartLoc, read_smartloc
+from lanebound.integrity.recorded.source import in_order
 from lanebound.integrity.replay.outages import OutageConfig, motion_of, run_outages, write_outages
-from lanebound.integrity.replay.recording_checks import aligned_comma, check_comma, check_smartloc
+from lanebound.integrity.replay.sensor_checks import aligned_comma, check_comma, check_smartloc
 
 HOME = ecef_from_geodetic(np.radians(52.5), np.radians(13.37), 80.0)
 AXES = ecef_from_enu_matrix(np.radians(52.5), np.radians(13.37))

@@ -7,8 +7,9 @@ import pytest
 from line_of_sight import line_of_sight
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.sky.raytrace import build_grid, first_hits, first_hits_reference, moller_trumbore
+from lanebound.integrity.sky.raytrace import build_grid, first_hits
 from lanebound.integrity.sky.scene import City, Surface, prisms
+from plain_rays import first_hits_reference, moller_trumbore
 
 HALF_SQUARE = [[0, 0, 0], [2, 0, 0], [0, 2, 0]]
 UNIT = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
