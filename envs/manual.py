@@ -16,7 +16,7 @@ import gymnasium
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CLASSES, PRICED, Preset, id_of
+from lanebound.envs.ids import CLASSES, PRICED, Preset, WorkZone, id_of
 from lanebound.envs.observation import GROUPS, OBSERVATION_INDEX
 from lanebound.envs.observation.index import Entry
 from lanebound.envs.registration import make_config
@@ -254,7 +254,7 @@ def _later(kind: type[Preset]) -> tuple[str, ...]:
 def markdown() -> str:
     """The whole page in Markdown."""
     parts = [HEAD, _contents(), "## All environments", _page(DrivingEnv)]
-    for kind in CLASSES:
+    for kind in (*CLASSES, WorkZone):
         parts += [f"## {kind.__name__}", f'`gymnasium.make("{id_of(kind)}")`', _page(kind)]
     parts += ["## Priced ids", PRICED_TEXT, _table(PRICED_HEAD, map(_later, PRICED))]
     return "\n\n".join([*parts, TOPICS.replace("@FAULT_KINDS@", _fault_table()), _keys(), _index()]) + "\n"

@@ -16,6 +16,7 @@ __all__ = [
     "EGO_LENGTH_M",
     "FREE_M",
     "CruiseConfig",
+    "closure_gap",
     "following_acceleration",
     "idm_acceleration",
     "nearest_ahead",
@@ -52,7 +53,29 @@ def route_speed(reader: Reader, observation: Observation, c: CruiseConfig) -> Ar
     for d in reader.previews_m:
         kappa = np.abs(reader.value(observation, f"road.preview_{d:g}m_curvature"))
         squared = np.minimum(squared, c.lateral_mps2 / np.maximum(kappa, 1e-6) + 2.0 * c.brake_mps2 * d)
+    if reader.config.closure:
+        beside = reader.value(observation, "road.closure_limit") ** 2
+        beside += 2.0 * c.brake_mps2 * np.maximum(reader.value(observation, "road.closure_start"), 0.0)
+        ahead = (reader.value(observation, "road.closure_known") > 0.5) & (
+            reader.value(observation, "road.closure_end") > 0.0
+        )
+        squared = np.where(ahead, np.minimum(squared, beside), squared)
     return np.asarray(np.sqrt(squared))
+
+
+def closure_gap(reader: Reader, observation: Observation, lane: int = 0, along_m: Array | float = 0.0) -> Array:
+    """Road from the bumper to a closure known on the own lane, on the left (-1) or on the right one (1) [m].
+
+    0 beside it and within ``along_m`` of it; far off without one.
+    """
+    free = np.full(reader.value(observation, "ego.speed").shape, FREE_M)
+    if not reader.config.closure:
+        return free
+    name = {-1: "left", 0: "own", 1: "right"}[lane]
+    there = reader.value(observation, f"road.closure_{name}") > 0.5
+    there &= reader.value(observation, "road.closure_end") > -0.5 * EGO_LENGTH_M - along_m
+    gap = reader.value(observation, "road.closure_start") - 0.5 * EGO_LENGTH_M - along_m
+    return np.where(there, np.maximum(gap, 0.0), free)
 
 
 def nearest_ahead(

@@ -10,9 +10,11 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.utils import lmap, wrap_to_pi
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
 from lanebound.envs.records import LaneIndex
+from lanebound.envs.worlds.closures import Closure, barriers
 from lanebound.envs.worlds.drivers import LeadVehicle
 from lanebound.envs.worlds.kinds import Refusal, Starter, Support
 from lanebound.envs.worlds.lanes import CurveLane
@@ -69,6 +71,7 @@ class World(AbstractEnv):  # type: ignore[misc]
     is the class of the other vehicles, ``TRAFFIC`` the traffic of the vector engine that moves them (``course``:
     LeadVehicle, ``city``: CityDriver, ``network``: IDMVehicle), ``most_vehicles`` their largest number with the ego,
     ``ENDS_M`` the distance from the end of the road at which an episode ends (None for roads without an end).
+    ``closure`` is the lane that closes in the episode, if any (``draw_closure``).
 
     Action
         As in highway-env, set by ``config["action"]``: ``ContinuousAction`` (acceleration within 6 m/s2, steering
@@ -87,6 +90,7 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     OTHERS: ClassVar[type[Vehicle]] = LeadVehicle
     TRAFFIC: ClassVar[str] = "course"
+    closure: Closure | None = None
     ENDS_M: ClassVar[float | None] = 20.0
 
     @classmethod
@@ -125,6 +129,10 @@ class World(AbstractEnv):  # type: ignore[misc]
         """
         raise NotImplementedError
 
+    def draw_closure(self, rng: np.random.Generator) -> Closure | None:
+        """Draw the lane that closes in an episode, before its seats; all closures of a world are of one length."""
+        return None
+
     @classmethod
     def most_vehicles(cls, config: dict[str, Any]) -> int:
         """Largest number of vehicles in an episode, including the ego."""
@@ -149,6 +157,9 @@ class World(AbstractEnv):  # type: ignore[misc]
             record_history=self.config["show_trajectories"],
             neighbour_vehicles_connected_lanes=self.config["neighbour_vehicles_connected_lanes"],
         )
+        self.closure = self.draw_closure(self.np_random)
+        for place in () if self.closure is None else barriers(self.road.network, self.closure):
+            self.road.objects.append(Obstacle(self.road, *place))
         self._populate()
 
     def _place_ego(self, index: LaneIndex, longitudinal_m: float, speed_mps: float) -> None:
@@ -288,6 +299,7 @@ def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
     network, delay = world.road.network, getattr(world.OTHERS, "LANE_CHANGE_DELAY", 1.0)
 
     def start(rng: np.random.Generator, cars: Records, drivers: Records, profile: Array) -> int:
+        world.closure = world.draw_closure(rng)
         seats, speeds = drawn_seats(world, rng)
         if speeds is not None:
             profile[:] = speeds
