@@ -41,6 +41,7 @@ class CruiseConfig(Config):
     lead_brake_mps2: float = Field(6.0, gt=0, description="hardest braking expected of a leader; RSS, dry road")
     time_gap_s: float = Field(1.2, gt=0, description="time gap to the leader; IDM, 1 to 1.5 s")
     response_s: float = Field(0.6, ge=0, description="until braking begins: a decision and the age of a broadcast")
+    leaders: int = Field(1, ge=1, le=8, description="vehicles ahead on the lane behind which it can stop; chosen")
     standstill_m: float = Field(2.0, gt=0, description="gap at rest; IDM, Treiber 2000")
     lookahead_s: float = Field(0.8, gt=0, description="of the target point; longer is calmer, chosen")
     lookahead_min_m: float = Field(5.0, gt=0, description="and at least this far; a car's length")
@@ -79,9 +80,13 @@ def closure_gap(reader: Reader, observation: Observation, lane: int = 0, along_m
 
 
 def nearest_ahead(
-    reader: Reader, observation: Observation, along_m: Array | float = 0.0, across_m: Array | float = 0.0
-) -> tuple[Array, Array]:
+    reader: Reader, observation: Observation, along_m: Array | float = 0.0, across_m: Array | float = 0.0,
+    several: CruiseConfig | None = None,
+) -> tuple[Array, Array]:  # fmt: skip
     """Gap bumper to bumper [m] to the next vehicle on the ego's route, and its speed [m/s]; far off without one.
+
+    With ``several`` that of its ``leaders`` next vehicles whose braking leaves the least safe speed; from the gap to
+    one that is not the next the vehicles in between, and their gaps at rest, are subtracted.
 
     Parameters
     ----------
@@ -98,6 +103,12 @@ def nearest_ahead(
     there = (reader.rows(observation, "present") > 0.5) & own & (gap > 0.0)
     free = np.where(there, gap - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M) - along_m, FREE_M)
     best = np.argmin(free, axis=-1)[..., None]
+    if several is not None and several.leaders > 1:
+        place = np.argsort(np.argsort(free, axis=-1, kind="stable"), axis=-1)
+        free = np.where(there, free - place * (EGO_LENGTH_M + several.standstill_m), FREE_M)
+        ahead = np.maximum(speed[..., None] + reader.rows(observation, "velocity_ahead"), 0.0)
+        safe = safe_speed(np.maximum(free, 0.0), ahead, several)
+        best = np.argmin(np.where(there & (place < several.leaders), safe, FREE_M), axis=-1)[..., None]
     closing = np.take_along_axis(reader.rows(observation, "velocity_ahead"), best, axis=-1)[..., 0]
     s = np.take_along_axis(free, best, axis=-1)[..., 0]
     return np.maximum(s, 0.0), np.where(s < FREE_M, np.maximum(speed + closing, 0.0), speed)

@@ -8,8 +8,8 @@ from __future__ import annotations
 from lanebound.integrity.core.records import record
 
 __all__ = [
-    "BELIEF", "BUDGET", "CAR", "CAUSES", "CLOSURE", "COMMAND", "COST_FIGURES", "EGO", "FACTS", "GIVEN", "OUTCOME", "PERCEIVED",
-    "REWARD_WEIGHTS", "RULES", "SCORE", "SENSED", "TERMS", "TRACK", "VIEW",
+    "BELIEF", "BUDGET", "CAR", "CAUSES", "CLOSURE", "COMMAND", "COST_FIGURES", "EGO", "FACTS", "GIVEN", "OUTCOME",
+    "PERCEIVED", "REWARD_WEIGHTS", "RULES", "SCORE", "SENSED", "TERMS", "TRACK", "VIEW",
 ]  # fmt: skip
 
 GIVEN, SENSED = 0, 1  # sources of the ego's position

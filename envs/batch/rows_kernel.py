@@ -139,13 +139,13 @@ def receive_rows(first, last, rows, cars, egos, radio, time):  # type: ignore[no
 
 
 @jit
-def look_rows(first, last, rows, cars, egos, picture, tracks, figures, noise):  # type: ignore[no-untyped-def]
-    """One epoch of the sensors; picture (N,) PICTURE, tracks (N, C + 1), noise (n, C + 1, 4) standard normal."""
-    ahead = np.empty((cars.shape[1], 2))
+def look_rows(first, last, rows, cars, egos, pictures, noise):  # type: ignore[no-untyped-def]
+    """One epoch of the sensors; noise (n, C + 1, 4) standard normal."""
+    ahead, p = np.empty((cars.shape[1], 2)), pictures
     for n in range(first, last):
         e = rows[n]
         here = cars[e, : egos[e].vehicles]
-        look(picture[e], tracks[e], figures[0], egos[e].belief, here, noise[n], ahead)
+        look(p.picture[e], p.tracks[e], p.of_sensor[0], egos[e].belief, here, noise[n], ahead, p.walls)
 
 
 @jit

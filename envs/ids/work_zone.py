@@ -16,16 +16,17 @@ class WorkZone(Preset):
     """
     ## Description
     Drive through a work zone on two lanes of 2.8 m, of which one closes 200 to 400 m ahead for 100 m. The road has
-    bends of 200 to 600 m radius and a speed limit of 13.9 m/s (50 km/h), 8.3 m/s (30 km/h) beside the closure. Obstacles
-    of 2 m stand in the middle of the closed lane every 10 m. Up to 6 other vehicles see them and change lane.
+    bends of 200 to 600 m radius and a speed limit of 13.9 m/s (50 km/h), 8.3 m/s (30 km/h) beside the closure.
+    Obstacles of 2 m stand in the middle of the closed lane every 10 m. Up to 6 other vehicles see them and change lane.
 
     The map does not have the closure. A roadside unit at its start sends lane, start, end and limit in coordinates of
-    the map, 10 times a second, by the [channel](#perception) of `v2v`, that is from about 280 m on; sensors of the car do
-    not see obstacles. So where the closure begins, and which lane the car is in, is known as well as the pose.
+    the map, 10 times a second, by the [channel](#perception) of `v2v`: the message arrives up to 300 m before. Sensors
+    of the car do not see the obstacles. So where the closure begins for the car, and which lane the car is in, is known
+    as well as the pose is.
 
     Difficulty: the alert limits come from a [budget](#alert-limits). Across, 0.3 m are left in a lane of 2.8 m. Along,
-    the limit falls before the closure, as behind a vehicle that stands there. Under an alert the car may not change lane,
-    so it has to change while levels are small.
+    the limit falls before the closure, as behind a vehicle that stands there. A lane change under an alert costs, so
+    the car has to change while levels are small.
 
     ## Action Space
     `Discrete(5)` at 2 Hz, with the target speeds 0, 2.8, 5.6, 8.4, 11.2 and 14 m/s: lanes are to be changed.
@@ -50,8 +51,8 @@ class WorkZone(Preset):
     ## Arguments
     `config["world"]`: `lanes_count` (2), `lane_width` (2.8 m), `ahead` ([200, 400] m), `closed_length` (100 m),
     `closed_limit` (8.3 m/s), `vehicles_count` (6), `spread` ([-150, 250] m), `initial_speed` (10 m/s), `layout` (number
-    of the road, 0; the roads 0 to 3 have 2.67 to 3.21 km), `duration` (60 s). With `observation.closure` false no message
-    is received.
+    of the road, 0; the roads 0 to 3 have 2.67 to 3.21 km), `duration` (60 s). With `observation.closure` false no
+    message is received.
 
     ## Version History
     * v0: first version.

@@ -50,10 +50,10 @@ __all__ = ["TrafficFigures", "run_course", "run_motorway", "run_network", "run_u
 class TrafficFigures(NamedTuple):
     """The parameters of the motion of vehicles.
 
-    world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, S): prescribed speeds of other vehicles [m/s],
-    by simulation step; wander (S, K) [m]: shapes over time of the others' lines in their lanes, by simulation step; idm
-    (1,) DRIVERS: of the others on a network of roads; lanes of the roads, and what they have beyond them; before:
-    simulation steps of the traffic before an episode.
+    world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, K, S): prescribed speeds of other vehicles
+    [m/s], by simulation step; wander (S, K) [m]: shapes over time of the others' lines in their lanes, by simulation
+    step; idm (1,) DRIVERS: of the others on a network of roads; lanes of the roads, and what they have beyond them;
+    before: simulation steps of the traffic before an episode.
     """
 
     world: Records

@@ -58,7 +58,8 @@ class Stage:
     """
 
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
-        profile = np.zeros((len(episodes.cars), engine.support.profile_steps(engine.single.world)))
+        world, support = engine.single.world, engine.support
+        profile = np.zeros((len(episodes.cars), support.profiles(world), support.profile_steps(world)))
         self.episodes, self.drivers = episodes, np.zeros(episodes.cars.shape, DRIVER)
         self.traffic = TrafficFigures(
             engine.world,

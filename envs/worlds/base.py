@@ -125,7 +125,8 @@ class World(AbstractEnv):  # type: ignore[misc]
     def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
         """Draw the initial states of an episode, the ego first, and the speed profile of the others, if any.
 
-        A profile has a speed for each simulation step, see :func:`~.drivers.speed_profile`; LeadVehicle needs one.
+        A profile has a speed for each simulation step, see :func:`~.drivers.speed_profile`; LeadVehicle needs one. With
+        several (K, S) each of the others has its own.
         """
         raise NotImplementedError
 
@@ -142,12 +143,12 @@ class World(AbstractEnv):  # type: ignore[misc]
         """Place the ego and the others."""
         (ego, *others), speeds = drawn_seats(self, self.np_random)
         self._place_ego(ego.lane_index, ego.along_m, ego.speed_mps)
-        for seat in others:
+        for k, seat in enumerate(others):
             driver: Any = self.OTHERS.make_on_lane(self.road, seat.lane_index, seat.along_m, seat.speed_mps)
             if isinstance(driver, IDMVehicle):
                 driver.target_speed, driver.DELTA = seat.target_mps, seat.exponent
             if isinstance(driver, LeadVehicle) and speeds is not None:
-                driver.follow(speeds)
+                driver.follow(speeds if speeds.ndim == 1 else speeds[min(k, len(speeds) - 1)])
             self.road.vehicles.append(driver)
 
     def _reset(self) -> None:
@@ -228,6 +229,7 @@ class World(AbstractEnv):  # type: ignore[misc]
             starter=_seated,
             ends=cls._ends,
             profile_steps=cls._profile_steps,
+            profiles=cls._profiles,
             refusals=cls._refusals,
             drivers=cls.OTHERS,
         )
@@ -251,6 +253,11 @@ class World(AbstractEnv):  # type: ignore[misc]
         if not issubclass(world.OTHERS, LeadVehicle) or world.most_vehicles(world.config) < 2:
             return 1
         return int(np.ceil(world.config["duration"] / (1.0 / world.config["simulation_frequency"]))) + 1
+
+    @staticmethod
+    def _profiles(world: AbstractEnv) -> int:
+        """Number of speed profiles of the other vehicles."""
+        return 1
 
     @staticmethod
     def _refusals(world: AbstractEnv) -> list[tuple[str, str, object]]:
