@@ -96,6 +96,13 @@ roof and of what is beside it ([signals](results/signals.md#near-objects)).
   and 0.1 m across, constant in an episode. A measurement is placed on the map with the estimated pose of the car.
 - Vehicles are extrapolated at constant velocity and dropped 1 s after their last measurement. Their levels grow with
   the age t: along by `8 m/s2 t^2 / 2`, across by `8 m/s2 t^2 / 2 + v t sin(5 deg)`.
+- Buildings at the corners of Intersection (`perception.sensor.corner_m`, none by default) hide vehicles from the
+  sensor: a vehicle is seen if the line from the middle of the car to its middle crosses no building. With 7 m from the
+  middles of both roads, 3 m beside the lanes, crossing traffic is seen where both are near the crossing. Messages come
+  around corners.
+- `perception.wrong_share` (0) makes each of the others a wrong sender with that probability: what it broadcasts is
+  displaced by 5 to 20 m (`wrong_m`) in any direction for the whole episode, with its levels unchanged. The levels of
+  a message cannot tell; a sensor of the car can.
 - With `perception.others: surrogate` a vehicle broadcasts its true pose and speed with errors and levels from one of 64
   recorded episodes of the same configuration, which the vector engine records once, in a minute or more
   ([surrogates](results/surrogates.md)).
