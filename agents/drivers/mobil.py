@@ -76,7 +76,7 @@ def changes(
 
     The better side whose gain ``a' - a + p (a_n' - a_n + a_o' - a_o)`` exceeds the threshold (equation 4), where the
     new follower n brakes no harder than is safe (equation 2), nor does the ego, unless it brakes as hard already. The
-    end of the ego's lane is a standing car, and so is a closure of a lane.
+    end of the ego's lane is a standing car, and so is a closure of it; no lane is taken that is known to close.
 
     Parameters
     ----------
@@ -97,15 +97,12 @@ def changes(
     sides = ((-1, "ego.left_exists", bonus_mps2[0]), (1, "ego.right_exists", bonus_mps2[1]))
     for lane, exists, bonus in sides:
         new = neighbours(reader, observation, lane, along_m)
-        there, closed = (
-            _idm(v, wanted_mps, new.lead_gap_m, new.lead_mps, c),
-            closure_gap(reader, observation, lane, own_m),
-        )
-        there = np.minimum(there, _idm(v, wanted_mps, closed, 0.0 * v, c))
+        there = _idm(v, wanted_mps, new.lead_gap_m, new.lead_mps, c)
         cut = _follower(new, new.follower_gap_m, v, wanted_mps, c)
         before = _follower(new, new.lead_gap_m + new.follower_gap_m + EGO_LENGTH_M, new.lead_mps, wanted_mps, c)
         safe = (cut >= -m.brake_safe_mps2) & ((there >= -m.brake_safe_mps2) | (there >= here))
-        safe &= (np.minimum(new.lead_gap_m, closed) >= m.room_m) & (new.follower_gap_m >= m.room_m)
+        safe &= (new.lead_gap_m >= m.room_m) & (new.follower_gap_m >= m.room_m)
+        safe &= closure_gap(reader, observation, lane, own_m) >= FREE_M
         safe &= reader.value(observation, exists) > 0.5
         gain = there - here + m.politeness * (cut - before + relief) + bonus
         gains.append(np.where(safe, gain, -np.inf))

@@ -41,6 +41,9 @@ class CruiseConfig(Config):
     lead_brake_mps2: float = Field(6.0, gt=0, description="hardest braking expected of a leader; RSS, dry road")
     time_gap_s: float = Field(1.2, gt=0, description="time gap to the leader; IDM, 1 to 1.5 s")
     response_s: float = Field(0.6, ge=0, description="until braking begins: a decision and the age of a broadcast")
+    merge_m: float = Field(
+        80.0, ge=0, description="before a closure of the own lane, where its limit holds: gaps come up; chosen"
+    )
     leaders: int = Field(1, ge=1, le=8, description="vehicles ahead on the lane behind which it can stop; chosen")
     standstill_m: float = Field(2.0, gt=0, description="gap at rest; IDM, Treiber 2000")
     lookahead_s: float = Field(0.8, gt=0, description="of the target point; longer is calmer, chosen")
@@ -48,15 +51,16 @@ class CruiseConfig(Config):
 
 
 def route_speed(reader: Reader, observation: Observation, c: CruiseConfig) -> Array:
-    """Speed that limit and bends ahead allow: ``v^2 <= a_lat / |kappa(d)| + 2 b d`` at every preview, and the end."""
+    """Speed that limits and bends ahead allow: ``v^2 <= a_lat / |kappa(d)| + 2 b d`` at every preview, and the end."""
     limit = reader.value(observation, "road.speed_limit")
     squared = np.where(limit < reader.scale("road.speed_limit"), limit, c.speed_mps) ** 2
     for d in reader.previews_m:
         kappa = np.abs(reader.value(observation, f"road.preview_{d:g}m_curvature"))
         squared = np.minimum(squared, c.lateral_mps2 / np.maximum(kappa, 1e-6) + 2.0 * c.brake_mps2 * d)
     if reader.config.closure:
+        early = c.merge_m * (reader.value(observation, "road.closure_own") > 0.5)
         beside = reader.value(observation, "road.closure_limit") ** 2
-        beside += 2.0 * c.brake_mps2 * np.maximum(reader.value(observation, "road.closure_start"), 0.0)
+        beside += 2.0 * c.brake_mps2 * np.maximum(reader.value(observation, "road.closure_start") - early, 0.0)
         ahead = (reader.value(observation, "road.closure_known") > 0.5) & (
             reader.value(observation, "road.closure_end") > 0.0
         )

@@ -46,7 +46,7 @@ class WorkZone(Preset):
     behind to 250 m ahead, at 8.3 to 12.5 m/s.
 
     ## Episode End
-    Truncated after 60 s. A success requires 0.5 of the possible speed.
+    Truncated after 60 s. A success requires 0.45 of the possible speed.
 
     ## Arguments
     `config["world"]`: `lanes_count` (2), `lane_width` (2.8 m), `ahead` ([200, 400] m), `closed_length` (100 m),
@@ -60,5 +60,12 @@ class WorkZone(Preset):
 
     CORE_S = 0.05
     PRESET: ClassVar[Mapping[str, Any]] = deep_merge(
-        {"base": "WorkZoneWorld", **META, "observation": {"closure": True}, "success_share": 0.5}, PRICES
+        {
+            "base": "WorkZoneWorld",
+            **META,
+            "sky": "suburban",
+            "observation": {"closure": True},
+            "success_share": 0.45,
+        },
+        PRICES,
     )
