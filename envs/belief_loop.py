@@ -27,6 +27,7 @@ from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
 from lanebound.envs.scene import EpisodeContext
 from lanebound.envs.seats import Seats
 from lanebound.envs.worlds import world_kind
+from lanebound.envs.worlds.closures import announce
 from lanebound.envs.worlds.wander import Wander
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.solution import Solution
@@ -71,6 +72,9 @@ class BeliefLoop:
         wander = Wander(config.wander, context.seed, self.step_s)
         self.seats = Seats(world, self.episodes, int(context.starts.fleet_seed[0]), wander)
         self.seats.read(full=True)
+        if (closure := getattr(world, "closure", None)) is not None:
+            record, radio = self.episodes.ego["closure"][0], config.perception.v2v
+            announce(record, self.episodes.table, world.road.network, closure, radio, context.seed)
         self.episodes.begin(ROW, [context.seed], context.starts, np.ones((1, self.seats.capacity), dtype=np.bool_))
         if self.meta:
             self.episodes.ego["belief"]["target_speed_mps"] = self.believed.target_speed

@@ -251,8 +251,24 @@ class EnvConfig(Config):
         return self
 
     @model_validator(mode="after")
+    def _corners_hide(self) -> Self:
+        # Buildings stand at a crossing, and are seen by the sensor alone.
+        corner, source = self.perception.sensor.corner_m, self.perception.source
+        if corner is not None and (not self.base.startswith("intersection-") or source not in ("sensor", "both")):
+            raise ConfigError(
+                f"perception.sensor.corner_m must be left out in {self.base} with perception.source {source!r}, got "
+                f"{corner:g}: choose an intersection, and source sensor or both"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _one_fault_strikes(self) -> Self:
-        # An episode that no fault can reach would count as one with a fault.
+        # An episode that no fault can reach would count as one with a fault; wrong senders would be further faults.
+        if self.faults is FaultLevel.ONE and self.perception.wrong_share:
+            raise ConfigError(
+                f"perception.wrong_share must be 0 with faults 'one', got {self.perception.wrong_share:g}: remove it, "
+                "or set faults to none"
+            )
         if self.faults is FaultLevel.ONE and not self.navigation.source.uses_sensors:
             raise ConfigError(
                 f"navigation.source must be 'navigator' with faults 'one', got {self.navigation.source.value!r}: set "

@@ -16,7 +16,7 @@ import gymnasium
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CLASSES, PRICED, Preset, id_of
+from lanebound.envs.ids import CLASSES, PRICED, Preset, WorkZone, id_of
 from lanebound.envs.observation import GROUPS, OBSERVATION_INDEX
 from lanebound.envs.observation.index import Entry
 from lanebound.envs.registration import make_config
@@ -96,6 +96,13 @@ roof and of what is beside it ([signals](results/signals.md#near-objects)).
   and 0.1 m across, constant in an episode. A measurement is placed on the map with the estimated pose of the car.
 - Vehicles are extrapolated at constant velocity and dropped 1 s after their last measurement. Their levels grow with
   the age t: along by `8 m/s2 t^2 / 2`, across by `8 m/s2 t^2 / 2 + v t sin(5 deg)`.
+- Buildings at the corners of Intersection (`perception.sensor.corner_m`, none by default) hide vehicles from the
+  sensor: a vehicle is seen if the line from the middle of the car to its middle crosses no building. With 7 m from the
+  middles of both roads, 3 m beside the lanes, crossing traffic is seen where both are near the crossing. Messages come
+  around corners.
+- `perception.wrong_share` (0) makes each of the others a wrong sender with that probability: what it broadcasts is
+  displaced by 5 to 20 m (`wrong_m`) in any direction for the whole episode, with its levels unchanged. The levels of
+  a message cannot tell; a sensor of the car can.
 - With `perception.others: surrogate` a vehicle broadcasts its true pose and speed with errors and levels from one of 64
   recorded episodes of the same configuration, which the vector engine records once, in a minute or more
   ([surrogates](results/surrogates.md)).
@@ -254,7 +261,7 @@ def _later(kind: type[Preset]) -> tuple[str, ...]:
 def markdown() -> str:
     """The whole page in Markdown."""
     parts = [HEAD, _contents(), "## All environments", _page(DrivingEnv)]
-    for kind in CLASSES:
+    for kind in (*CLASSES, WorkZone):
         parts += [f"## {kind.__name__}", f'`gymnasium.make("{id_of(kind)}")`', _page(kind)]
     parts += ["## Priced ids", PRICED_TEXT, _table(PRICED_HEAD, map(_later, PRICED))]
     return "\n\n".join([*parts, TOPICS.replace("@FAULT_KINDS@", _fault_table()), _keys(), _index()]) + "\n"

@@ -6,11 +6,12 @@ The formulas are in :mod:`lanebound.envs.batch.perception_kernel`.
 from __future__ import annotations
 
 from statistics import NormalDist
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.sensors.v2v import V2vConfig
 
 __all__ = ["PerceptionConfig", "SensorConfig"]
@@ -36,6 +37,13 @@ class SensorConfig(Config):
     )
     speed_sigma_mps: float = Field(0.1, ge=0, description="error of the relative speed, 1 sigma [m/s]; 77 GHz radar")
     heading_sigma_deg: float = Field(2.0, ge=0, description="error of the relative heading, 1 sigma [deg]; box fits")
+    corner_m: float | None = Field(
+        None,
+        ge=6.1,
+        le=100,
+        description="distance of buildings at the corners of Intersection from the middles of both roads, which hide "
+        "vehicles; None: none. Turning lanes need 6.1 m [m]",
+    )
     integrity_risk: float = Field(
         1e-5, gt=0, lt=1, description="risk of its bounds, half along, half across [-]; as the navigator's"
     )
@@ -59,6 +67,12 @@ class PerceptionConfig(Config):
     )
     v2v: V2vConfig = Field(default_factory=V2vConfig, description="the radio channel")
     sensor: SensorConfig = Field(default_factory=SensorConfig, description="the ego's own sensor")
+    wrong_share: float = Field(
+        0.0, ge=0, le=1, description="share of the others whose broadcasts are displaced in the whole episode [-]"
+    )
+    wrong_m: tuple[float, float] = Field(
+        (5.0, 20.0), description="range of the displacement, in any direction, with their levels unchanged [m]; chosen"
+    )
     drop_after_s: float = Field(
         1.0, ge=0, description="largest age of a measurement; older ones are dropped [s]; our choice"
     )
@@ -76,6 +90,18 @@ class PerceptionConfig(Config):
         lt=90,
         description="bound of the angle between course and heading of others [deg]; our choice",
     )
+
+    @model_validator(mode="after")
+    def _wrong_senders_send(self) -> Self:
+        low, high = self.wrong_m
+        if not 0.0 < low <= high:
+            raise ConfigError(f"wrong_m must be two numbers > 0, the lower one first, got {[low, high]}: correct them")
+        if self.wrong_share and not self.others_navigate:
+            raise ConfigError(
+                f"wrong_share must be 0 without broadcasts of receivers, got {self.wrong_share:g} with source "
+                f"'{self.source}' and others '{self.others}': set source to v2v or both, and others to full"
+            )
+        return self
 
     @property
     def has_radio(self) -> bool:

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CLASSES, CONTINUOUS, IDS, META, PRICED, PRICED_IDS, enter
+from lanebound.envs.ids import CLASSES, CONTINUOUS, IDS, META, MORE, PRICED_IDS, enter
 from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import nearest
@@ -83,5 +83,5 @@ def wrap_vec(
 
 def register_all() -> None:
     """Register every id with Gymnasium; doing so twice changes nothing."""
-    for kind in (*CLASSES, *PRICED):
+    for kind in (*CLASSES, *MORE):
         enter(kind)

@@ -265,20 +265,33 @@ def _require_effect(
             )
 
 
+def _wrong_senders(config: EnvConfig, duration_s: float, others: int, seed: int) -> tuple[Fault, ...]:
+    """Faults of the slots whose broadcasts are displaced in the whole episode, in any direction."""
+    perception, rng = config.perception, named_generator(seed, "wrong_senders")
+    if not perception.wrong_share:
+        return ()
+    draws = [(rng.random(), rng.uniform(*perception.wrong_m), rng.uniform(0.0, 360.0)) for _ in range(others)]
+    return tuple(
+        Fault(kind="v2v_lie", vehicle=slot, duration_s=duration_s, magnitude_m=size, azimuth_deg=azimuth)
+        for slot, (chance, size, azimuth) in enumerate(draws, 1)
+        if chance < perception.wrong_share
+    )
+
+
 def _drawn(episodes: Episodes, row: int, duration_s: float, others: int, seed: int) -> tuple[Fault, ...]:
     """The random faults of an episode: of what all share, of the ego (row 0) and of the other slots (1 and up).
 
     The one fault of ``faults: one`` is of the ego or of what all share, and ``info`` tells it.
     """
     level, navigation = episodes.config.faults, episodes.navigation
-    priors = level.priors
+    priors, wrong = level.priors, _wrong_senders(episodes.config, duration_s, others, seed)
     if priors is None or navigation is None:
-        return ()
+        return wrong
     track, rng = navigation.skies.risen(int(navigation.hour[row])), named_generator(seed, "faults")
     crew = 1 if level is FaultLevel.ONE else 1 + others
     sky = track.at(track.start_s, np.zeros(crew, dtype=np.int64))
     if level is not FaultLevel.ONE:
-        return random_campaign(priors, duration_s, rng, sky)
+        return random_campaign(priors, duration_s, rng, sky) + wrong
     fault, *figures = single_fault(priors, duration_s, rng, sky)
     told = fault_kinds().index(fault.declaration), fault.start_s, *figures
     for name, value in zip(FAULT_INFO, told, strict=True):

@@ -14,7 +14,7 @@ from lanebound.agents.drivers.crossing import crosses
 from lanebound.agents.drivers.margins import Rss, RssConfig
 from lanebound.agents.drivers.mobil import neighbours
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_out
-from lanebound.agents.drivers.plans import following_acceleration, nearest_ahead, safe_speed
+from lanebound.agents.drivers.plans import FREE_M, closure_gap, following_acceleration, safe_speed
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import ConfigError
@@ -61,6 +61,7 @@ class AwareConfig(RssConfig):
     )
     cross_extra_m: float = Field(0.5, ge=0, description="crossing vehicles are widened by PL_AT, by this at most")
     sky_bonus_mps2: float = Field(0.5, ge=0, description="gain of a lane that sees the sky where the own does not")
+    closure_bonus_mps2: float = Field(1.0, ge=0, description="gain of leaving a lane that is known to close; chosen")
 
 
 class IntegrityAware(Rss):
@@ -163,7 +164,7 @@ class IntegrityAware(Rss):
         c, v = self.config, self.reader.value(observation, "ego.speed")
         careful = super().acceleration(observation)
         plain = self.giving(observation, super().free_speed(observation))
-        bare = following_acceleration(v, plain, *nearest_ahead(self.reader, observation, within_s=c.cut_in_s), c)
+        bare = following_acceleration(v, plain, *self.lead(observation, margins=False), c)
         return np.minimum(bare, np.maximum(careful, -c.slow_mps2))
 
     def top_speed(self, observation: Observation) -> Array:
@@ -180,7 +181,7 @@ class IntegrityAware(Rss):
         follower = neighbours(self.reader, observation, 0).follower_gap_m
         still = (v > target + c.settled_mps) & (follower < c.follower_s * v)
         free = self.giving(observation, super().free_speed(observation))
-        bare = np.minimum(free, safe_speed(*nearest_ahead(self.reader, observation, within_s=c.cut_in_s), c))
+        bare = np.minimum(free, safe_speed(*self.lead(observation, margins=False), c))
         return np.where(still, np.maximum(careful, np.minimum(bare, target)), careful)
 
     def change(self, observation: Observation) -> NDArray[np.int64]:
@@ -189,11 +190,17 @@ class IntegrityAware(Rss):
         return np.where(alert, 0, super().change(observation))
 
     def bonus(self, observation: Observation) -> tuple[Array | float, Array | float]:
-        """For each side the share of the points ahead with enough satellites there and too few on the own lane."""
+        """For each side the share of the points ahead with enough satellites there and too few on the own lane.
+
+        Where the own lane is known to close, also what makes the car leave it at once: under an alert it could not.
+        """
         own = self._dark(observation, "own")
         sides = [own & ~self._dark(observation, s) & self._seen(observation, s) for s in ("left", "right")]
         left, right = (self.config.sky_bonus_mps2 * side.sum(axis=-1) for side in sides)
-        return left, right
+        if not self.reader.config.closure:
+            return left, right
+        early = self.config.closure_bonus_mps2 * (closure_gap(self.reader, observation) < FREE_M)
+        return left + early, right + early
 
     def _outage(self, observation: Observation) -> Array:
         """Distance to the next known outage [m]; far without one."""

@@ -68,7 +68,7 @@ class Constant(Plan):
         free = super().acceleration(observation)
         return np.where(self.wanted_speed(observation) > 0.0, free, -self.config.brake_max_mps2)
 
-    def lead(self, observation: Observation) -> tuple[Array, Array]:
+    def lead(self, observation: Observation, margins: bool = True) -> tuple[Array, Array]:
         """No vehicle ahead."""
         speed = self.reader.value(observation, "ego.speed")
         return np.full(speed.shape, FREE_M), speed

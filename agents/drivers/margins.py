@@ -71,6 +71,10 @@ class Rss(Nominal):
         """The combined level along the track."""
         return self.reader.rows(observation, "pl_at") if self.reader.config.vehicles else 0.0, 0.0
 
+    def own_margin(self, observation: Observation) -> Array | float:
+        """The level along the track."""
+        return self.reader.value(observation, "integrity.pl_at")
+
     def acceleration(self, observation: Observation) -> Array:
         """As nominal; above the safe speed it brakes so that the excess is gone within the response time."""
         c, v = self.config, self.reader.value(observation, "ego.speed")
@@ -92,6 +96,10 @@ class Cautious(Nominal):
     def margins(self, observation: Observation) -> tuple[Array | float, Array | float]:
         """The constant margins."""
         return self.config.gap_m, self.config.lane_m
+
+    def own_margin(self, observation: Observation) -> Array | float:
+        """The constant margin."""
+        return self.config.gap_m
 
     def free_speed(self, observation: Observation) -> Array:
         """A share of the speed of the route."""

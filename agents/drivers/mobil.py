@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation, Reader
-from lanebound.agents.drivers.plans import EGO_LENGTH_M, FREE_M, CruiseConfig, idm_acceleration, in_lane
+from lanebound.agents.drivers.plans import (
+    EGO_LENGTH_M,
+    FREE_M,
+    CruiseConfig,
+    closure_gap,
+    idm_acceleration,
+    in_lane,
+)
 from lanebound.integrity.core.config import Config, Field
 
 __all__ = ["MobilConfig", "Neighbours", "changes", "neighbours"]
@@ -71,23 +78,26 @@ def changes(
     m: MobilConfig,
     along_m: Array | float = 0.0,
     bonus_mps2: tuple[Array | float, Array | float] = (0.0, 0.0),
+    own_m: Array | float = 0.0,
 ) -> NDArray[np.int64]:
     """Lane to change to, -1 left, 0 none, 1 right.
 
     The better side whose gain ``a' - a + p (a_n' - a_n + a_o' - a_o)`` exceeds the threshold (equation 4), where the
     new follower n brakes no harder than is safe (equation 2), nor does the ego, unless it brakes as hard already. The
-    end of the ego's lane is a standing car.
+    end of the ego's lane is a standing car, and so is a closure of it; no lane is taken that is known to close.
 
     Parameters
     ----------
     wanted_mps : speed on a free road
     along_m : subtracted from every gap
     bonus_mps2 : added to the gain of the left and of the right side
+    own_m : subtracted from the distance to a closure
     """
     v = reader.value(observation, "ego.speed")
     own = neighbours(reader, observation, 0, along_m, c.cut_in_s)
     end = reader.value(observation, "road.lane_end")
     end = np.where(end < reader.scale("road.lane_end"), np.maximum(end, 0.0), FREE_M)
+    end = np.minimum(end, closure_gap(reader, observation, 0, own_m))
     here = np.minimum(_idm(v, wanted_mps, own.lead_gap_m, own.lead_mps, c), _idm(v, wanted_mps, end, 0.0 * v, c))
     joined = own.lead_gap_m + own.follower_gap_m + EGO_LENGTH_M  # for the old follower, after the change
     relief = _follower(own, joined, own.lead_mps, wanted_mps, c) - _follower(own, own.follower_gap_m, v, wanted_mps, c)
@@ -100,6 +110,7 @@ def changes(
         before = _follower(new, new.lead_gap_m + new.follower_gap_m + EGO_LENGTH_M, new.lead_mps, wanted_mps, c)
         safe = (cut >= -m.brake_safe_mps2) & ((there >= -m.brake_safe_mps2) | (there >= here))
         safe &= (new.lead_gap_m >= m.room_m) & (new.follower_gap_m >= m.room_m)
+        safe &= closure_gap(reader, observation, lane, own_m) >= FREE_M
         safe &= reader.value(observation, exists) > 0.5
         gain = there - here + m.politeness * (cut - before + relief) + bonus
         gains.append(np.where(safe, gain, -np.inf))

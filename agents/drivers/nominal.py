@@ -94,7 +94,9 @@ class Nominal(Plan):
         """By MOBIL, with gaps reduced by their margins."""
         along, _ = self.margins(observation)
         wanted, bonus = self.wanted_speed(observation), self.bonus(observation)
-        return changes(self.reader, observation, wanted, self.config, self.mobil, along, bonus)
+        return changes(
+            self.reader, observation, wanted, self.config, self.mobil, along, bonus, self.own_margin(observation)
+        )
 
 
 def _cannot_slow(env: DrivingEnv) -> bool:

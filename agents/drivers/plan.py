@@ -16,6 +16,7 @@ from lanebound.agents.drivers.base import Observation, Reader, StatelessDriver
 from lanebound.agents.drivers.lateral import PursuitSteering, Steering
 from lanebound.agents.drivers.plans import (
     CruiseConfig,
+    closure_gap,
     following_acceleration,
     nearest_ahead,
     route_speed,
@@ -63,9 +64,18 @@ class Plan:
         """Speed on a free road [m/s]."""
         return route_speed(self.reader, observation, self.config)
 
-    def lead(self, observation: Observation) -> tuple[Array, Array]:
-        """Gap that counts to the next vehicle ahead [m], and its speed [m/s]."""
-        return nearest_ahead(self.reader, observation, *self.margins(observation), self.config.cut_in_s)
+    def own_margin(self, observation: Observation) -> Array | float:
+        """Reduction of the gap to what the map places, such as a closed lane [m]."""
+        return 0.0
+
+    def lead(self, observation: Observation, margins: bool = True) -> tuple[Array, Array]:
+        """Gap that counts to the next vehicle ahead [m], and its speed [m/s]; a closed lane is a standing one."""
+        found = self.margins(observation) if margins else (0.0, 0.0)
+        s, lead = nearest_ahead(self.reader, observation, *found, self.config.cut_in_s, self.config)
+        if not self.reader.config.closure:
+            return s, lead
+        closed = closure_gap(self.reader, observation, 0, self.own_margin(observation) if margins else 0.0)
+        return np.minimum(s, closed), np.where(closed < s, 0.0, lead)
 
     def acceleration(self, observation: Observation) -> Array:
         """Acceleration to command [m/s2]."""

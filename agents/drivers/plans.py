@@ -19,6 +19,7 @@ __all__ = [
     "FREE_M",
     "LANES",
     "CruiseConfig",
+    "closure_gap",
     "following_acceleration",
     "idm_acceleration",
     "in_lane",
@@ -46,6 +47,10 @@ class CruiseConfig(Config):
     lead_brake_mps2: float = Field(6.0, gt=0, description="hardest braking expected of a leader; RSS, dry road")
     time_gap_s: float = Field(1.2, gt=0, description="time gap to the leader; IDM, 1 to 1.5 s")
     response_s: float = Field(0.6, ge=0, description="until braking begins: a decision and the age of a broadcast")
+    merge_m: float = Field(
+        80.0, ge=0, description="before a closure of the own lane, where its limit holds: gaps come up; chosen"
+    )
+    leaders: int = Field(1, ge=1, le=8, description="vehicles ahead on the lane behind which it can stop; chosen")
     standstill_m: float = Field(2.0, gt=0, description="gap at rest; IDM, Treiber 2000")
     cut_in_s: float = Field(
         1.0, ge=0, description="a vehicle that enters a lane within this time counts there; half of a change, chosen"
@@ -55,12 +60,20 @@ class CruiseConfig(Config):
 
 
 def route_speed(reader: Reader, observation: Observation, c: CruiseConfig) -> Array:
-    """Speed that limit and bends ahead allow: ``v^2 <= a_lat / |kappa(d)| + 2 b d`` at every preview, and the end."""
+    """Speed that limits and bends ahead allow: ``v^2 <= a_lat / |kappa(d)| + 2 b d`` at every preview, and the end."""
     limit = reader.value(observation, "road.speed_limit")
     squared = np.where(limit < reader.scale("road.speed_limit"), limit, c.speed_mps) ** 2
     for d in reader.previews_m:
         kappa = np.abs(reader.value(observation, f"road.preview_{d:g}m_curvature"))
         squared = np.minimum(squared, c.lateral_mps2 / np.maximum(kappa, 1e-6) + 2.0 * c.brake_mps2 * d)
+    if reader.config.closure:
+        early = c.merge_m * (reader.value(observation, "road.closure_own") > 0.5)
+        beside = reader.value(observation, "road.closure_limit") ** 2
+        beside += 2.0 * c.brake_mps2 * np.maximum(reader.value(observation, "road.closure_start") - early, 0.0)
+        ahead = (reader.value(observation, "road.closure_known") > 0.5) & (
+            reader.value(observation, "road.closure_end") > 0.0
+        )
+        squared = np.where(ahead, np.minimum(squared, beside), squared)
     return np.asarray(np.sqrt(squared))
 
 
@@ -87,14 +100,33 @@ def in_lane(reader: Reader, observation: Observation, side: int, within_s: float
     return np.asarray(there & (rows("present") > 0.5))
 
 
+def closure_gap(reader: Reader, observation: Observation, lane: int = 0, along_m: Array | float = 0.0) -> Array:
+    """Road from the bumper to a closure known on the own lane, on the left (-1) or on the right one (1) [m].
+
+    0 beside it and within ``along_m`` of it; far off without one.
+    """
+    free = np.full(reader.value(observation, "ego.speed").shape, FREE_M)
+    if not reader.config.closure:
+        return free
+    name = {-1: "left", 0: "own", 1: "right"}[lane]
+    there = reader.value(observation, f"road.closure_{name}") > 0.5
+    there &= reader.value(observation, "road.closure_end") > -0.5 * EGO_LENGTH_M - along_m
+    gap = reader.value(observation, "road.closure_start") - 0.5 * EGO_LENGTH_M - along_m
+    return np.where(there, np.maximum(gap, 0.0), free)
+
+
 def nearest_ahead(
     reader: Reader,
     observation: Observation,
     along_m: Array | float = 0.0,
     across_m: Array | float = 0.0,
     within_s: float = 0.0,
+    several: CruiseConfig | None = None,
 ) -> tuple[Array, Array]:
     """Gap bumper to bumper [m] to the next vehicle on the ego's route, and its speed [m/s]; far off without one.
+
+    With ``several`` that of its ``leaders`` next vehicles whose braking leaves the least safe speed; from the gap to
+    one that is not the next the vehicles in between, and their gaps at rest, are subtracted.
 
     Parameters
     ----------
@@ -112,6 +144,12 @@ def nearest_ahead(
     there = (in_lane(reader, observation, 0, within_s) | wide) & (gap > 0.0)
     free = np.where(there, gap - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M) - along_m, FREE_M)
     best = np.argmin(free, axis=-1)[..., None]
+    if several is not None and several.leaders > 1:
+        place = np.argsort(np.argsort(free, axis=-1, kind="stable"), axis=-1)
+        free = np.where(there, free - place * (EGO_LENGTH_M + several.standstill_m), FREE_M)
+        ahead = np.maximum(speed[..., None] + reader.rows(observation, "velocity_ahead"), 0.0)
+        safe = safe_speed(np.maximum(free, 0.0), ahead, several)
+        best = np.argmin(np.where(there & (place < several.leaders), safe, FREE_M), axis=-1)[..., None]
     closing = np.take_along_axis(reader.rows(observation, "velocity_ahead"), best, axis=-1)[..., 0]
     s = np.take_along_axis(free, best, axis=-1)[..., 0]
     return np.maximum(s, 0.0), np.where(s < FREE_M, np.maximum(speed + closing, 0.0), speed)

@@ -22,6 +22,7 @@ body alone takes, ``stand = kappa L^2 / 8``, and a share of the rest; u is how f
 level: what reaction and braking to its speed leave of the gap (S1: positions are to avoid collisions). A vehicle beside
 counts while the levels of both leave open who is ahead. A sensor measures the gap itself; it has no part of the
 position.
+``distance - v (response + T) - v^2 / (2 b)``  before the start of a closure that is known on the lane.
 
 The bound of the map's error is in the levels already. Both limits stay between ``least`` and ``most``: where less than
 ``least`` is left it is not the position that makes driving unsafe. Errors of the heading, vehicles beside the car and
@@ -35,6 +36,7 @@ from __future__ import annotations
 
 import math
 
+from lanebound.envs.batch.closure_kernel import left_along_m
 from lanebound.envs.batch.costs_kernel import UNKNOWN_GAP_M, doubt_m
 from lanebound.envs.batch.lanes_kernel import local
 from lanebound.envs.batch.route_map_kernel import path_at
@@ -131,7 +133,7 @@ def budget_limits(b, speed, sc, car, seen, count, lanes, routes, rules):  # type
     sweep = v * rules.policy_s
     room = _room_m(b, sc, car, sweep, lanes, rules)
     along, curvature = _bends_m(b, car, sweep, room, lanes, routes, rules)
-    along = min(along, _behind_m(b, v, seen, count, car.length, lanes, rules))
+    along = min(along, _behind_m(b, v, seen, count, car.length, lanes, rules), left_along_m(b, v, car.length, rules))
     if _is_placed(b, sweep, lanes, routes, rules):
         along = min(along, f.crossing_m)
     along = max(along, f.least_m)

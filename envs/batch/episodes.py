@@ -116,7 +116,7 @@ class Episodes:
         )
         self.frame = np.zeros((n, len(self.index)), dtype=np.float32)
         exact = not (rules["offset_at_m"][0] or rules["offset_ct_m"][0])
-        alike = exact and navigation is None and not perceives(config.perception)
+        alike = exact and navigation is None and not (perceives(config.perception) or o.closure)
         self.epoch_steps = None if alike else config.navigation.steps_per_epoch(config.simulation_hz)
 
     @property
@@ -231,6 +231,8 @@ class Episodes:
         n = self.navigation
         at, fixes, lies = (rows, None, None) if n is None else (n.at(rows), n.fixes, n.lies)
         self.perception.perceive(rows, at, time_s, fixes, self.cars, self.ego, lies)
+        if self.config.observation.closure:
+            rk.receive_rows(0, rows.size, rows, self.cars, self.ego, self.perception.pictures.of_radio, time_s)
 
     def score_and_observe(self, rows: Rows, start: bool) -> None:
         """Score a policy step, or a start, find what is shown of the egos, and fill the frames."""

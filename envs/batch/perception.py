@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 GIVEN = ("truth", "none")
+FAR_M = 1000.0  # beyond the roads of a crossing and any sensor
 PERCEIVE_US = 6.0  # of one thread for an environment, measured
 
 
@@ -108,6 +109,7 @@ class PerceptionBatch:
             of_radio=self._radio,
             of_sensor=self._sensor,
             of_tracks=self._tracking,
+            walls=_walls(self.config.sensor.corner_m),
         )
 
     def another(self, count: int) -> PerceptionBatch:
@@ -210,7 +212,7 @@ class PerceptionBatch:
                     gk.stand_in_rows(first, last, rows, cars, egos, p, recordings, self._stand_ins, time_s)
                 rk.hear_rows(first, last, rows, cars, egos, p, time_s, heard, lies)
             if seen is not None:
-                rk.look_rows(first, last, rows, cars, egos, p.picture, p.tracks, p.of_sensor, seen)
+                rk.look_rows(first, last, rows, cars, egos, p, seen)
             rk.sum_up_rows(first, last, rows, egos, p, time_s)
 
         run_rows(work, rows.size, row_us=PERCEIVE_US)
@@ -228,6 +230,14 @@ class PerceptionBatch:
             sk.uniforms_at(own, there, out)
         states[rows] = own
         return out
+
+
+def _walls(corner_m: float | None) -> Array:
+    """The buildings (W, 4) at the four corners of a crossing at the origin, none without a distance."""
+    if corner_m is None:
+        return np.zeros((0, 4))
+    spans = (corner_m, FAR_M), (-FAR_M, -corner_m)
+    return np.array([(*x, *y) for x in spans for y in spans])
 
 
 def _silence(sightings: Records, rows: Rows, time_s: float) -> None:

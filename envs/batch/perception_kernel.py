@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 
-__all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "PerceptionArrays", "Radio", "claim",
-           "forget_slot",
-           "hear", "in_sight", "look", "see_truth", "silence", "sum_up"]  # fmt: skip
+__all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "PerceptionArrays", "Radio",
+           "behind_wall", "claim", "forget_slot", "hear", "in_sight", "look", "see_truth", "silence",
+           "sum_up"]  # fmt: skip
 
 ROUNDING = 1e-9
 COURSE_FROM_MPS = 2.0  # below, Doppler noise turns the course by degrees
@@ -104,7 +104,8 @@ class PerceptionArrays(NamedTuple):
 
     picture (N,) PICTURE; perceived (N, P) PERCEIVED, nearest first; tracks (N, C + 1) SIGHTING of the sensor; slots
     (N, C + 1) SLOT; spoken (N, C) CLAIM and radio: of C slots, of none where the ego has no radio; of_radio (1,) RADIO,
-    of_sensor (1,) SENSOR, of_tracks (1,) TRACKING: figures.
+    of_sensor (1,) SENSOR, of_tracks (1,) TRACKING: figures; walls (W, 4): least and largest x, least and largest y of
+    buildings that hide vehicles from the sensors [m].
     """
 
     picture: Records
@@ -116,6 +117,7 @@ class PerceptionArrays(NamedTuple):
     of_radio: Records
     of_sensor: Records
     of_tracks: Records
+    walls: NDArray[np.float64]
 
 
 @jit(borrows=True)
@@ -214,7 +216,31 @@ def in_sight(cars, ahead, i):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def look(picture, tracks, figures, b, cars, noise, ahead):  # type: ignore[no-untyped-def]
+def behind_wall(cars, walls, i):  # type: ignore[no-untyped-def]
+    """Whether the line from the middle of the ego to that of vehicle ``i`` crosses a building of ``walls`` (W, 4).
+
+    Of the line ``p + t d``, t in [0, 1], the parts between the two sides of a building along x and along y are found;
+    it crosses the building where these have more than a point in common.
+    """
+    for k in range(walls.shape[0]):
+        first, last = 0.0, 1.0
+        for axis in range(2):
+            start = cars[0].x if axis == 0 else cars[0].y
+            way = (cars[i].x if axis == 0 else cars[i].y) - start
+            low, high = walls[k, 2 * axis] - start, walls[k, 2 * axis + 1] - start
+            if way == 0.0:
+                if low >= 0.0 or high <= 0.0:
+                    last = -math.inf
+            else:
+                one, other = low / way, high / way
+                first, last = max(first, min(one, other)), min(last, max(one, other))
+        if first < last:
+            return True
+    return False
+
+
+@jit(borrows=True)
+def look(picture, tracks, figures, b, cars, noise, ahead, walls):  # type: ignore[no-untyped-def]
     """One epoch of the sensor of one ego: tracks move with the ego's odometry, and those in sight are measured anew.
 
     So a jump of the ego's solution moves ego and tracks alike. Along and across the measured heading, which the line of
@@ -223,7 +249,8 @@ def look(picture, tracks, figures, b, cars, noise, ahead):  # type: ignore[no-un
     from whose heading that of the other differs by theta, adds ``(sigma_y sin theta)^2`` and ``(sigma_y cos theta)^2``.
     The ego's error of its own speed enters by the cosine of the angle between the headings.
 
-    tracks (C,) SIGHTING by slot, with ages; noise (C, 4) standard normal; ahead (V, 2) is scratch.
+    tracks (C,) SIGHTING by slot, with ages; noise (C, 4) standard normal; ahead (V, 2) is scratch; walls (W, 4): see
+    :class:`PerceptionArrays`.
     """
     travelled = b.speed_mps * figures.epoch_s
     east, south = math.cos(b.heading_rad) * travelled, math.sin(b.heading_rad) * travelled
@@ -241,7 +268,7 @@ def look(picture, tracks, figures, b, cars, noise, ahead):  # type: ignore[no-un
         off_axis = abs(bearing - 2.0 * math.pi * round(bearing / (2.0 * math.pi)))
         if cars[v].slot < 0 or distance > figures.range_m or off_axis > figures.half_view_rad:
             continue
-        if not in_sight(cars, ahead, v):
+        if not in_sight(cars, ahead, v) or behind_wall(cars, walls, v):
             continue
         n, track = noise[cars[v].slot], tracks[cars[v].slot]
         r = distance + figures.range_sigma_m * n[0]

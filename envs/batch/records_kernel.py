@@ -8,8 +8,8 @@ from __future__ import annotations
 from lanebound.integrity.core.records import record
 
 __all__ = [
-    "BELIEF", "BUDGET", "CAR", "CAUSES", "COMMAND", "COST_FIGURES", "EGO", "FACTS", "GIVEN", "OUTCOME", "PERCEIVED",
-    "REWARD_WEIGHTS", "RULES", "SCORE", "SENSED", "TERMS", "TRACK", "VIEW",
+    "BELIEF", "BUDGET", "CAR", "CAUSES", "CLOSURE", "COMMAND", "COST_FIGURES", "EGO", "FACTS", "GIVEN", "OUTCOME",
+    "PERCEIVED", "REWARD_WEIGHTS", "RULES", "SCORE", "SENSED", "TERMS", "TRACK", "VIEW",
 ]  # fmt: skip
 
 GIVEN, SENSED = 0, 1  # sources of the ego's position
@@ -85,6 +85,11 @@ BELIEF = record(
     trust_m="horizontal trust level of a filter, inf without",
     sdop="speed dilution of precision, inf without a Doppler velocity",
     permitted_mps="speed permitted at the last decision, where it follows from the level; inf for no bound",
+    closure=("i8", "1 where a lane of the road is known to close"),
+    closure_side=("i8", "number of the closed lane less that of the believed one, NOT_BESIDE where none is known"),
+    closure_start_m="from the middle of the car to the start of the closure, inf where none is known",
+    closure_end_m="to its end",
+    closure_limit_mps="speed limit announced with it, inf where none is known",
 )
 
 TRACK = record(
@@ -205,6 +210,22 @@ VIEW = record(
     reason="code of AlertReason",
     permitted_mps="speed permitted where it follows from the level, inf for no bound; always for an oracle",
 )
+CLOSURE = record(
+    there=("i8", "1 where a lane closes in the episode"),
+    known=("i8", "1 once its message has arrived"),
+    road=("i8", "row of the first lane of its road"),
+    side=("i8", "number of the closed lane"),
+    start_x_m="start, in the middle of the closed lane; there the roadside unit stands",
+    start_y_m="start, in the middle of the closed lane",
+    end_x_m="end, in the middle of the closed lane",
+    end_y_m="end, in the middle of the closed lane",
+    limit_mps="speed limit between these, on all lanes of the road",
+    share="of the messages at close range that arrive in time",
+    luck="uniform draw by which the first message that arrives is found",
+    missed="probability that none of those sent has arrived",
+    delay_s="of the first that arrives",
+    due_s="when it arrives, inf before it is sent",
+)
 EGO = record(
     belief=(BELIEF, "what the ego believes"),
     shown=(BELIEF, "by which an agent observes: the belief, or the truth for an oracle"),
@@ -213,6 +234,7 @@ EGO = record(
     command=(COMMAND, "what is commanded"),
     score=(SCORE, "what scores remember"),
     facts=(FACTS, "what the wrapped world says of the step"),
+    closure=(CLOSURE, "a lane that closes, and its message"),
     outcome=(OUTCOME, "what the step has come to"),
     vehicles=("i8", "vehicles of the environment, the ego included: the first places of its row of cars"),
     route=("i8", "row of the first step that is left of the planned route, 0 for none"),

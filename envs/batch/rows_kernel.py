@@ -10,6 +10,7 @@ import numpy as np
 
 from lanebound.envs.batch.belief_kernel import begin, coast, locate, settle, take, take_given, trust_anew
 from lanebound.envs.batch.budget_kernel import budget_limits, permitted_mps
+from lanebound.envs.batch.closure_kernel import place_closure, receive
 from lanebound.envs.batch.costs_kernel import begin_corridor, follow_corridor
 from lanebound.envs.batch.motion_kernel import advance, fill_motion, fill_whereabouts, follow_motion
 from lanebound.envs.batch.perception_kernel import claim, hear, look, see_truth, sum_up
@@ -20,7 +21,8 @@ from lanebound.envs.batch.view_kernel import ORACLE, derive, fill_frame, true_vi
 from lanebound.integrity.core.accel import jit
 
 __all__ = ["approach_step", "begin_rows", "carry_on", "carry_rows", "claim_rows", "conclude_rows", "count_rows",
-           "end_epoch", "give_rows", "hear_rows", "look_rows", "sky_rows", "sum_up_rows", "take_rows"]  # fmt: skip
+           "end_epoch", "give_rows", "hear_rows", "look_rows", "receive_rows", "sky_rows", "sum_up_rows",
+           "take_rows"]  # fmt: skip
 
 
 # After a simulation step
@@ -129,14 +131,21 @@ def hear_rows(first, last, rows, cars, egos, pictures, time, u, lies):  # type: 
         hear(p.picture[e], p.radio, e, p.of_radio[0], time[n], p.spoken[e], here, u[n], lies)
 
 
+@jit(borrows=True)
+def receive_rows(first, last, rows, cars, egos, radio, time):  # type: ignore[no-untyped-def]
+    """One epoch of the messages on closed lanes; radio (1,) RADIO, time (n,) of the episodes."""
+    for n in range(first, last):
+        receive(egos[rows[n]].closure, cars[rows[n], 0], radio[0], time[n])
+
+
 @jit
-def look_rows(first, last, rows, cars, egos, picture, tracks, figures, noise):  # type: ignore[no-untyped-def]
-    """One epoch of the sensors; picture (N,) PICTURE, tracks (N, C + 1), noise (n, C + 1, 4) standard normal."""
-    ahead = np.empty((cars.shape[1], 2))
+def look_rows(first, last, rows, cars, egos, pictures, noise):  # type: ignore[no-untyped-def]
+    """One epoch of the sensors; noise (n, C + 1, 4) standard normal."""
+    ahead, p = np.empty((cars.shape[1], 2)), pictures
     for n in range(first, last):
         e = rows[n]
         here = cars[e, : egos[e].vehicles]
-        look(picture[e], tracks[e], figures[0], egos[e].belief, here, noise[n], ahead)
+        look(p.picture[e], p.tracks[e], p.of_sensor[0], egos[e].belief, here, noise[n], ahead, p.walls)
 
 
 @jit
@@ -187,6 +196,7 @@ def _score(ego, cars, picture, seen, path_of, lanes, routes, rules, start):  # t
     """Place the belief on the ego's own map, set its limits, score the step, or a start, and find what is shown."""
     b = ego.belief
     locate(b, lanes, path_of, rules)
+    place_closure(ego.closure, b, lanes)
     if start:
         begin_corridor(ego.score, b, lanes)
     else:
@@ -198,12 +208,13 @@ def _score(ego, cars, picture, seen, path_of, lanes, routes, rules, start):  # t
             b, b.speed_mps, ego.score, cars[0], seen, picture.seen, lanes, routes, rules
         )
         trust_anew(b, ego.track, rules)
-    score(b, ego.score, cars, seen, picture.seen, lanes, ego.facts, rules, start, ego.outcome)
+    score(b, ego.score, cars, seen, picture.seen, lanes, ego.facts, ego.closure, rules, start, ego.outcome)
     if rules.permits != 0:  # after the score: a step is judged by the speed that was shown before it
         b.permitted_mps = permitted_mps(b, ego.score, cars[0], seen, picture.seen, lanes, routes, rules)
     ego.shown = b
     if rules.shown == ORACLE:
         true_view(cars[0], lanes, path_of, rules, ego.shown)
+        place_closure(ego.closure, ego.shown, lanes)
 
 
 # Before a start

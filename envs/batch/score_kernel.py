@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 
+from lanebound.envs.batch.closure_kernel import closed_ahead
 from lanebound.envs.batch.costs_kernel import price
 from lanebound.envs.batch.lanes_kernel import CIRCLE, STRAIGHT, advised, ends, local, straight, width_at
 from lanebound.integrity.core.accel import jit
@@ -94,16 +95,17 @@ def _allowed_mps(cars, lanes, limit):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def score(b, sc, cars, seen, count, lanes, facts, rules, start, out):  # type: ignore[no-untyped-def]
+def score(b, sc, cars, seen, count, lanes, facts, closure, rules, start, out):  # type: ignore[no-untyped-def]
     """The verdict on a step, or at a start, where no time has passed: fills ``out`` and remembers in ``sc``.
 
-    ``seen``, ``count``: the vehicles that the ego perceives; ``facts``: ends and reward of the wrapped world. The
-    corridor is up to date.
+    ``seen``, ``count``: the vehicles that the ego perceives; ``facts``: ends and reward of the wrapped world;
+    ``closure``: of a lane. The corridor is up to date.
     """
     policy, speed = rules.policy_s, cars[0].speed
     dt = 0.0 if start else policy
     lane = lanes.table[cars[0].lane]
     limit = lane.speed_limit_mps if lane.speed_limit_mps > 0.0 else rules.max_speed_mps
+    limit, room = closed_ahead(closure, cars[0], lanes, limit)
     _s, r, direction = local(lanes, cars[0].lane, cars[0].x, cars[0].y)
     angle = wrap(cars[0].heading - direction)
     along, against = speed * math.cos(angle), abs(angle) > 0.5 * math.pi
@@ -112,6 +114,7 @@ def score(b, sc, cars, seen, count, lanes, facts, rules, start, out):  # type: i
         sc.heading_rad, sc.speed_mps = cars[0].heading, speed
     else:
         allowed, flow = _allowed_mps(cars, lanes, limit)
+        flow = min(flow, math.sqrt(2.0 * COMFORT_MPS2 * room))
         sc.progress_m += along * policy
         sc.allowed_m += allowed * policy
         sc.behind_m = max(sc.behind_m + (rules.success_share * allowed - along) * policy, 0.0)

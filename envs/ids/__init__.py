@@ -3,14 +3,26 @@
 from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, Roundabout
 from lanebound.envs.ids.preset import CONTINUOUS, META, Preset, has_engine, id_of, refuse_misplaced
 from lanebound.envs.ids.priced import PRICED, PRICES
-from lanebound.envs.ids.registry import CLASSES, IDS, PRICED_IDS, enter, preset_of, presets, register_id, withdraw_id
+from lanebound.envs.ids.registry import (
+    CLASSES,
+    IDS,
+    MORE,
+    PRICED_IDS,
+    enter,
+    preset_of,
+    presets,
+    register_id,
+    withdraw_id,
+)
 from lanebound.envs.ids.streets import CarFollowing, LaneKeeping, UrbanCanyon
+from lanebound.envs.ids.work_zone import WorkZone
 
 __all__ = [
     "CLASSES",
     "CONTINUOUS",
     "IDS",
     "META",
+    "MORE",
     "PRICED",
     "PRICED_IDS",
     "PRICES",
@@ -23,6 +35,7 @@ __all__ = [
     "Racetrack",
     "Roundabout",
     "UrbanCanyon",
+    "WorkZone",
     "enter",
     "has_engine",
     "id_of",

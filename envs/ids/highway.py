@@ -199,7 +199,8 @@ class Intersection(Preset):
     `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (7
     attempts), `spawn_probability` (0.14 at each decision, 1,000 an hour; at the 2,160 an hour of highway-env drivers
     block each other), `duration` (45 s; highway-env has 13 s). Other drivers wait before the crossing until their way
-    is free, do not reverse, and speed up with at most 2 m/s2. Nobody gives way to the car.
+    is free, do not reverse, and speed up with at most 2 m/s2. Nobody gives way to the car. Buildings at the corners:
+    [perception](#perception).
 
     ## Version History
     * v0: first version, on `intersection-v2`.

@@ -11,11 +11,12 @@ from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, 
 from lanebound.envs.ids.preset import Preset, has_engine, id_of
 from lanebound.envs.ids.priced import PRICED
 from lanebound.envs.ids.streets import CarFollowing, LaneKeeping, UrbanCanyon
+from lanebound.envs.ids.work_zone import WorkZone
 from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import require_registered
 
-__all__ = ["CLASSES", "IDS", "PRICED_IDS", "enter", "preset_of", "presets", "register_id", "withdraw_id"]
+__all__ = ["CLASSES", "IDS", "MORE", "PRICED_IDS", "enter", "preset_of", "presets", "register_id", "withdraw_id"]
 
 CLASSES: tuple[type[Preset], ...] = (
     LaneKeeping,
@@ -27,12 +28,13 @@ CLASSES: tuple[type[Preset], ...] = (
     Racetrack,
     UrbanCanyon,
 )
-
+MORE: tuple[type[Preset], ...] = (*PRICED, WorkZone)
+"""Classes of ids of ours that suites, pages of results and shipped policies do not drive."""
 
 IDS: dict[str, dict[str, Any]] = {}
 """The presets of all ids that are registered."""
 PRICED_IDS: dict[str, dict[str, Any]] = {}
-"""The presets of ids in which to stop has a price; suites, pages and shipped policies do not drive them."""
+"""The presets of ``MORE``: ids in which to stop has a price."""
 _registered: list[type[Preset]] = []
 
 
@@ -42,8 +44,8 @@ def presets() -> tuple[type[Preset], ...]:
 
 
 def preset_of(env_id: str) -> type[Preset] | None:
-    """The class of an id of ours, priced or not; None for another id, such as one of highway-env."""
-    return next((kind for kind in (*presets(), *PRICED) if id_of(kind) == env_id), None)
+    """The class of an id of ours; None for another id, such as one of highway-env."""
+    return next((kind for kind in (*presets(), *MORE) if id_of(kind) == env_id), None)
 
 
 def register_id(kind: type[Preset]) -> str:
@@ -79,8 +81,8 @@ def withdraw_id(name: str) -> None:
 
 def enter(kind: type[Preset]) -> None:
     """Register an id with Gymnasium; doing so twice changes nothing."""
-    (PRICED_IDS if kind in PRICED else IDS)[id_of(kind)] = dict(kind.PRESET)
+    (PRICED_IDS if kind in MORE else IDS)[id_of(kind)] = dict(kind.PRESET)
     if id_of(kind) not in gymnasium.registry:
         engine = f"lanebound.envs.vector.env:Vector{kind.__name__}" if has_engine(kind) else None
-        entry = f"{kind.__module__}:{kind.__qualname__}" if kind in (*CLASSES, *PRICED) else kind
+        entry = f"{kind.__module__}:{kind.__qualname__}" if kind in (*CLASSES, *MORE) else kind
         gymnasium.register(id_of(kind), entry, vector_entry_point=engine, kwargs={"config": {}})

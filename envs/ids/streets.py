@@ -96,7 +96,9 @@ class CarFollowing(Preset):
     ## Arguments
     `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 2.67 to 3.21 km), `lane_width` (3.25 m),
     `standstill_gap` (2 m), `time_gap` ([0.8, 1.0] s), `lead` (speed profile: keys of `SpeedProfileConfig`), `duration`
-    (120 s).
+    (120 s), `platoon` (1; vehicles ahead, up to 4). In a platoon the first drives the profile; each of the others
+    follows by IDM with a lag of 1 s, and hides those ahead of it from the sensor. When the first brakes, the last does
+    so seconds later; until then only messages tell ([remote braking](results/where-levels-decide.md)).
 
     ## Version History
     * v0: first version.

@@ -46,6 +46,9 @@ class ObservationConfig(Config):
         False,
         description="speed permitted under an alert has an entry; an environment sets it for cost.alert_speed: level",
     )
+    closure: bool = Field(
+        False, description="a lane that closes has entries, once its message has arrived; for WorkZoneWorld"
+    )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
         (5.0, 10.0, 20.0, 40.0, 80.0), description="distances ahead at which the route's centreline is given; chosen"

@@ -236,6 +236,7 @@ def _road(c: ObservationConfig) -> list[Entry]:
                    "distance to the end of the lane without a continuation; 1 beyond the range",
                    "view.lane_end_m"),
     ]  # fmt: skip
+    out += _closure(c, g) if c.closure else []
     for n, d in enumerate(c.preview_m):
         where = f"of the centreline of the route {d:g} m ahead"
         out += [
@@ -257,6 +258,22 @@ def _road(c: ObservationConfig) -> list[Entry]:
             for k, lane in enumerate(LANES)
         ]
     return out
+
+
+def _closure(c: ObservationConfig, g: _Group) -> list[Entry]:
+    """A lane that closes, as a roadside unit has announced it in coordinates of the map."""
+    return [
+        g.flag("closure_known", "a message says that a lane closes; before it the next six are 1, 1, 0, 0, 0, 1",
+               "belief.closure"),
+        g.signed("closure_start", "m", c.range_m, "distance from the middle of the car to the start of the closure",
+                 "belief.closure_start_m"),
+        g.signed("closure_end", "m", c.range_m, "distance from the middle of the car to the end of the closure",
+                 "belief.closure_end_m"),
+        *(g.flag(f"closure_{name}", f"the {name} lane closes", f"belief.closure_side == {side}")
+          for name, side in zip(LANES, (-1, 0, 1), strict=True)),
+        g.positive("closure_limit", "m/s", c.speed_max_mps, "speed limit announced beside the closure",
+                   "belief.closure_limit_mps"),
+    ]  # fmt: skip
 
 
 def _traffic(c: ObservationConfig) -> list[Entry]:

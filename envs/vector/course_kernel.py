@@ -10,10 +10,14 @@ __all__ = ["drive_profiles"]
 
 @jit(inline=True)
 def drive_profiles(v, lanes, profile, step, dt):  # type: ignore[no-untyped-def]
-    """Vehicles 1 and up drive to the speed that ``profile`` (S,) [m/s] has for the end of step number ``step``."""
+    """Vehicles 1 and up drive to the speeds that ``profile`` (K, S) [m/s] has for the end of step number ``step``.
+
+    Vehicle 1 has the first row; those beyond the last row have that one.
+    """
     for i in range(1, v.x.shape[0]):
         steering, a = 0.0, 0.0
         if v.crashed[i] == 0:
             steering = steer_along(v, lanes, i)
-            a = (profile[min(step, profile.shape[0] - 1)] - v.speed[i]) / dt
+            row = profile[min(i, profile.shape[0]) - 1]
+            a = (row[min(step, row.shape[0] - 1)] - v.speed[i]) / dt
         roll(v, i, steering, a, -SPEED_MOST_MPS, SPEED_MOST_MPS, lanes, dt)

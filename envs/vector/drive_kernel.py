@@ -50,10 +50,10 @@ __all__ = ["TrafficFigures", "run_course", "run_motorway", "run_network", "run_u
 class TrafficFigures(NamedTuple):
     """The parameters of the motion of vehicles.
 
-    world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, S): prescribed speeds of other vehicles [m/s],
-    by simulation step; wander (S, K) [m]: shapes over time of the others' lines in their lanes, by simulation step; idm
-    (1,) DRIVERS: of the others on a network of roads; lanes of the roads, and what they have beyond them; before:
-    simulation steps of the traffic before an episode.
+    world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, K, S): prescribed speeds of other vehicles
+    [m/s], by simulation step; wander (S, K) [m]: shapes over time of the others' lines in their lanes, by simulation
+    step; idm (1,) DRIVERS: of the others on a network of roads; lanes of the roads, and what they have beyond them;
+    before: simulation steps of the traffic before an episode.
     """
 
     world: Records
@@ -80,9 +80,9 @@ def _begin(e, codes, cars, drivers, ego, lanes, traffic, numbers, wholes):  # ty
     if codes.size > 0:
         follow_road(ego, lanes, traffic.roads.routes)
         decide(ego.belief, codes[e], lanes, traffic.speeds)
-    v = vehicles_in(numbers, wholes, cars.shape[0] + traffic.roads.objects.shape[0])
+    v = vehicles_in(numbers, wholes, cars.shape[0] + traffic.roads.objects.shape[1])
     load(cars, drivers, v)
-    place_objects(v, cars.shape[0], traffic.roads.objects)
+    place_objects(v, cars.shape[0], traffic.roads.objects[e])
     return v
 
 
@@ -164,7 +164,7 @@ def _motorway(frames, v, cars, drivers, ego, motions, lanes, rules, traffic, scr
 @jit
 def run_network(first, last, rows, frames, ends, codes, cars, drivers, egos, motions, rules, traffic):  # type: ignore[no-untyped-def]
     """The drivers of a network of roads."""
-    places, lanes = cars.shape[1] + traffic.roads.objects.shape[0], traffic.lanes
+    places, lanes = cars.shape[1] + traffic.roads.objects.shape[1], traffic.lanes
     numbers, wholes = np.empty((NUMBERS, places)), np.empty((WHOLES, places), np.int64)
     stations, order = np.empty((places, lanes.table.shape[0])), np.empty(places, np.int64)
     for e in rows[first:last]:
@@ -207,12 +207,12 @@ def run_unattended(cars, drivers, steps, lanes, idm, roads, dt):  # type: ignore
 
     cars (v,), drivers (V,): of one environment.
     """
-    places = cars.shape[0] + roads.objects.shape[0]
+    places = cars.shape[0] + roads.objects.shape[1]
     v = vehicles_in(np.zeros((NUMBERS, places)), np.zeros((WHOLES, places), np.int64), places)
     stations, order = np.empty((places, lanes.table.shape[0])), np.empty(places, np.int64)
     seat(cars, drivers, cars.shape[0])
     load(cars, drivers, v)
-    place_objects(v, cars.shape[0], roads.objects)
+    place_objects(v, cars.shape[0], roads.objects[0])
     for step in range(1, steps + 1):
         decide_network(v, cars.shape[0], drivers, lanes, idm[0], roads, False, step, stations, order)
         drive_network(v, cars.shape[0], lanes, idm[0], dt)

@@ -31,6 +31,7 @@ from lanebound.envs.vector.support import (
 )
 from lanebound.envs.vector.turnover import Turnover
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
+from lanebound.envs.worlds.closures import announce, stand_in_lane
 from lanebound.envs.worlds.followers import seat_followers
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.records import Records, one_record
@@ -57,7 +58,8 @@ class Stage:
     """
 
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
-        profile = np.zeros((len(episodes.cars), engine.support.profile_steps(engine.single.world)))
+        world, support = engine.single.world, engine.support
+        profile = np.zeros((len(episodes.cars), support.profiles(world), support.profile_steps(world)))
         self.episodes, self.drivers = episodes, np.zeros(episodes.cars.shape, DRIVER)
         self.traffic = TrafficFigures(
             engine.world,
@@ -66,7 +68,7 @@ class Stage:
             engine.wander,
             engine.idm,
             episodes.table.lanes,
-            engine.roads,
+            engine.roads._replace(objects=np.repeat(engine.roads.objects, len(profile), axis=0)),
             engine.before,
         )
         self.turnover = Turnover(engine, episodes)
@@ -74,7 +76,7 @@ class Stage:
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """Those of the traffic that have a row for each environment."""
-        return self.drivers, self.traffic.profile
+        return self.drivers, self.traffic.profile, self.traffic.roads.objects
 
     @property
     def nbytes(self) -> int:
@@ -299,6 +301,9 @@ class Engine:
         for e, seed, generator in zip(rows.tolist(), seeds, generators, strict=True):
             count = self._start(generator, cars[e], drivers[e], traffic.profile[e])
             ego["vehicles"][e] = seat_followers(config.traffic, seed, cars[e], drivers[e], count, table, network)
+            if (closure := getattr(self.single.world, "closure", None)) is not None:  # of the episode drawn just now
+                stand_in_lane(traffic.roads.objects[e], table, network, closure)
+                announce(ego["closure"][e], table, network, closure, config.perception.v2v, seed)
         states = wander.states(seeds) if wander.wanders else None
         seat_rows(rows, cars, drivers, ego, traffic.wander, states, ZIGGURAT, table.lanes, traffic.roads.routes)
 

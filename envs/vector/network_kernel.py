@@ -40,7 +40,8 @@ WALKING_MPS = 1.0  # slower vehicles do not change lanes
 class Roads(NamedTuple):
     """A network of roads beyond its lanes.
 
-    routes (Q,) STEP: all that are planned; objects (O,) CAR: what stands on the road; crossing: with a right of way.
+    routes (Q,) STEP: all that are planned; objects (N, O) CAR: what stands on the road in each environment, of one
+    where it is the same in all before a start; crossing: with a right of way.
     """
 
     routes: Records

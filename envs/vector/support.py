@@ -137,10 +137,10 @@ def _crossing_of(world: AbstractEnv, table: LaneTable) -> Crossing:
 
 
 def objects_of(world: AbstractEnv, table: LaneTable) -> Records:
-    """What stands on the road of a world, (O,) CAR."""
+    """What stands on the road of a world, (1, O) CAR."""
     found = [thing for thing in world.road.objects if not isinstance(thing, Landmark)]
-    out: Records = empty_cars(1, len(found))[0]
-    for car, thing in zip(out, found, strict=True):
+    out: Records = empty_cars(1, len(found))
+    for car, thing in zip(out[0], found, strict=True):
         (car["x"], car["y"]), car["heading"] = thing.position, thing.heading
         car["length"], car["width"], car["lane"] = thing.LENGTH, thing.WIDTH, table.row[thing.lane_index]
     return out

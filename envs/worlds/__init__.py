@@ -14,12 +14,14 @@ from lanebound.envs.worlds.kinds import (
 )
 from lanebound.envs.worlds.straights import exit_support, turn_support, two_way_support
 from lanebound.envs.worlds.streets import CarFollowingWorld, LaneKeepingWorld, UrbanCanyonWorld
+from lanebound.envs.worlds.work_zone import WorkZoneWorld
 
 __all__ = [
     "CarFollowingWorld",
     "LaneKeepingWorld",
     "Support",
     "UrbanCanyonWorld",
+    "WorkZoneWorld",
     "WorldKind",
     "register_world",
     "withdraw_world",
@@ -31,6 +33,7 @@ for _kind in (
     WorldKind("LaneKeepingWorld", LaneKeepingWorld, LaneKeepingWorld.support),
     WorldKind("CarFollowingWorld", CarFollowingWorld, CarFollowingWorld.support),
     WorldKind("UrbanCanyonWorld", UrbanCanyonWorld, UrbanCanyonWorld.support),
+    WorldKind("WorkZoneWorld", WorkZoneWorld, WorkZoneWorld.support),
     WorldKind("highway-v0", None, motorway_support),
     WorldKind("highway-fast-v0", None, motorway_support),
     WorldKind("exit-v0", None, exit_support),

@@ -10,9 +10,11 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.utils import lmap, wrap_to_pi
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
 from lanebound.envs.records import LaneIndex
+from lanebound.envs.worlds.closures import Closure, barriers
 from lanebound.envs.worlds.drivers import LeadVehicle
 from lanebound.envs.worlds.kinds import Refusal, Starter, Support
 from lanebound.envs.worlds.lanes import CurveLane
@@ -69,6 +71,7 @@ class World(AbstractEnv):  # type: ignore[misc]
     is the class of the other vehicles, ``TRAFFIC`` the traffic of the vector engine that moves them (``course``:
     LeadVehicle, ``city``: CityDriver, ``network``: IDMVehicle), ``most_vehicles`` their largest number with the ego,
     ``ENDS_M`` the distance from the end of the road at which an episode ends (None for roads without an end).
+    ``closure`` is the lane that closes in the episode, if any (``draw_closure``).
 
     Action
         As in highway-env, set by ``config["action"]``: ``ContinuousAction`` (acceleration within 6 m/s2, steering
@@ -87,6 +90,7 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     OTHERS: ClassVar[type[Vehicle]] = LeadVehicle
     TRAFFIC: ClassVar[str] = "course"
+    closure: Closure | None = None
     ENDS_M: ClassVar[float | None] = 20.0
 
     @classmethod
@@ -121,9 +125,14 @@ class World(AbstractEnv):  # type: ignore[misc]
     def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
         """Draw the initial states of an episode, the ego first, and the speed profile of the others, if any.
 
-        A profile has a speed for each simulation step, see :func:`~.drivers.speed_profile`; LeadVehicle needs one.
+        A profile has a speed for each simulation step, see :func:`~.drivers.speed_profile`; LeadVehicle needs one. With
+        several (K, S) each of the others has its own.
         """
         raise NotImplementedError
+
+    def draw_closure(self, rng: np.random.Generator) -> Closure | None:
+        """Draw the lane that closes in an episode, before its seats; all closures of a world are of one length."""
+        return None
 
     @classmethod
     def most_vehicles(cls, config: dict[str, Any]) -> int:
@@ -134,12 +143,12 @@ class World(AbstractEnv):  # type: ignore[misc]
         """Place the ego and the others."""
         (ego, *others), speeds = drawn_seats(self, self.np_random)
         self._place_ego(ego.lane_index, ego.along_m, ego.speed_mps)
-        for seat in others:
+        for k, seat in enumerate(others):
             driver: Any = self.OTHERS.make_on_lane(self.road, seat.lane_index, seat.along_m, seat.speed_mps)
             if isinstance(driver, IDMVehicle):
                 driver.target_speed, driver.DELTA = seat.target_mps, seat.exponent
             if isinstance(driver, LeadVehicle) and speeds is not None:
-                driver.follow(speeds)
+                driver.follow(speeds if speeds.ndim == 1 else speeds[min(k, len(speeds) - 1)])
             self.road.vehicles.append(driver)
 
     def _reset(self) -> None:
@@ -149,6 +158,9 @@ class World(AbstractEnv):  # type: ignore[misc]
             record_history=self.config["show_trajectories"],
             neighbour_vehicles_connected_lanes=self.config["neighbour_vehicles_connected_lanes"],
         )
+        self.closure = self.draw_closure(self.np_random)
+        for place in () if self.closure is None else barriers(self.road.network, self.closure):
+            self.road.objects.append(Obstacle(self.road, *place))
         self._populate()
 
     def _place_ego(self, index: LaneIndex, longitudinal_m: float, speed_mps: float) -> None:
@@ -217,6 +229,7 @@ class World(AbstractEnv):  # type: ignore[misc]
             starter=_seated,
             ends=cls._ends,
             profile_steps=cls._profile_steps,
+            profiles=cls._profiles,
             refusals=cls._refusals,
             drivers=cls.OTHERS,
         )
@@ -240,6 +253,11 @@ class World(AbstractEnv):  # type: ignore[misc]
         if not issubclass(world.OTHERS, LeadVehicle) or world.most_vehicles(world.config) < 2:
             return 1
         return int(np.ceil(world.config["duration"] / (1.0 / world.config["simulation_frequency"]))) + 1
+
+    @staticmethod
+    def _profiles(world: AbstractEnv) -> int:
+        """Number of speed profiles of the other vehicles."""
+        return 1
 
     @staticmethod
     def _refusals(world: AbstractEnv) -> list[tuple[str, str, object]]:
@@ -288,6 +306,7 @@ def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
     network, delay = world.road.network, getattr(world.OTHERS, "LANE_CHANGE_DELAY", 1.0)
 
     def start(rng: np.random.Generator, cars: Records, drivers: Records, profile: Array) -> int:
+        world.closure = world.draw_closure(rng)
         seats, speeds = drawn_seats(world, rng)
         if speeds is not None:
             profile[:] = speeds

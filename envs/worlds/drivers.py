@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
@@ -19,9 +21,12 @@ from lanebound.envs.worlds.idm_parameters_kernel import (
 )
 from lanebound.integrity.core.config import Config, Field
 
-__all__ = ["CityDriver", "IntersectionDriver", "LeadVehicle", "SpeedProfileConfig", "speed_profile"]
+__all__ = ["CityDriver", "IntersectionDriver", "LeadVehicle", "SpeedProfileConfig", "follow_all", "speed_profile"]
 
 Array = NDArray[np.float64]
+FELT_S = 1.0  # lag of the vehicles of a platoon, as of late drivers
+HARD_MPS2 = 8.0  # their braking at most; emergency braking on a dry road
+FREE_MPS = 50.0 / 3.6  # which they want on a free road
 
 
 class SpeedProfileConfig(Config):
@@ -88,6 +93,33 @@ def _towards(
     if pace * dt >= left:
         return target, sign * pace
     return speed + sign * pace * dt, sign * pace
+
+
+def follow_all(speeds: Array, gaps_m: Sequence[float], dt_s: float) -> Array:
+    """Speeds of the vehicles of a platoon, the last one first, behind one with ``speeds`` (S,).  -> (K, S) [m/s].
+
+    Each follows the one ahead by IDM with the parameters :data:`CALM`; what it decides takes effect with a lag, ``da/dt
+    = (max(a_IDM, -b) - a) / FELT_S``, as the followers of :mod:`.followers` react. Where the vehicle ahead brakes hard,
+    those behind it brake later.
+
+    Parameters
+    ----------
+    gaps_m : (K - 1,) between bumpers at the start, the last vehicle first
+    """
+    rows = [speeds]
+    for gap in reversed(gaps_m):
+        ahead, speed, felt, own = rows[-1], float(rows[-1][0]), 0.0, [float(rows[-1][0])]
+        for k in range(1, len(speeds)):
+            wanted = CALM.gap_m - LeadVehicle.LENGTH + speed * CALM.headway_s
+            wanted += speed * (speed - ahead[k - 1]) / CALM.twice_root
+            decided = CALM.comfort * (1.0 - (speed / FREE_MPS) ** 4 - (max(wanted, 0.0) / max(gap, 0.1)) ** 2)
+            felt += (max(decided, -HARD_MPS2) - felt) * min(dt_s / FELT_S, 1.0)
+            felt = max(felt, -speed / dt_s)
+            gap += (0.5 * (ahead[k - 1] + ahead[k]) - speed - 0.5 * felt * dt_s) * dt_s
+            speed = max(speed + felt * dt_s, 0.0)
+            own.append(speed)
+        rows.append(np.array(own))
+    return np.array(rows[::-1])
 
 
 class LeadVehicle(ControlledVehicle):  # type: ignore[misc]

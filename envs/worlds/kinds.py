@@ -35,8 +35,8 @@ __all__ = [
 ]
 
 Starter = Callable[[np.random.Generator, "Records", "Records", np.ndarray[Any, Any]], int]
-"""Fills the vehicles of one environment, (V,) CAR and DRIVER, and its speed profile (S,) from a generator; returns the
-number of vehicles."""
+"""Fills the vehicles of one environment, (V,) CAR and DRIVER, and its speed profiles (K, S) from a generator; returns
+the number of vehicles."""
 Entrance = Callable[[np.random.Generator, "Records", "Records", int], int]
 """Puts a vehicle that enters behind the others of an environment, (V,) CAR and DRIVER, of which there are so many;
 returns the number after that."""
@@ -61,7 +61,8 @@ class Support:
     vehicles : largest number of vehicles at the start of an episode, the ego included
     starter : the start of episodes; it uses only the configuration and the lanes of the world
     ends : fields of the record WORLD: end rules and the reward of the world
-    profile_steps : length of the speed profile of other vehicles, 1 for none
+    profile_steps : length of the speed profiles of other vehicles, 1 for none
+    profiles : number of these profiles: the k-th of the others has the k-th, those beyond the last
     refusals : options of the world that the engine does not have
     drivers : class of the other vehicles, whose methods and constants must be those of the kind of traffic
     plans : routes that the vehicles may have
@@ -75,6 +76,7 @@ class Support:
     starter: Callable[[AbstractEnv, LaneTable], Starter]
     ends: Callable[[AbstractEnv], Mapping[str, float]]
     profile_steps: Callable[[AbstractEnv], int] = field(default=lambda world: 1)
+    profiles: Callable[[AbstractEnv], int] = field(default=lambda world: 1)
     refusals: Callable[[AbstractEnv], list[Refusal]] = field(default=lambda world: [])
     drivers: type | None = None
     plans: Callable[[AbstractEnv, LaneTable], Plans] = field(default=_no_plans)

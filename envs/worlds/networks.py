@@ -116,11 +116,11 @@ def winding_road(layout: int, lanes: int, width_m: float) -> StreetNetwork:
     return network
 
 
-def long_road(layout: int, width_m: float) -> StreetNetwork:
-    """Road of 2.6 to 3.1 km with one lane: straights and bends of 200 to 600 m radius; edge ("start", "end")."""
+def long_road(layout: int, width_m: float, lanes: int = 1) -> StreetNetwork:
+    """Road of 2.6 to 3.1 km: straights and bends of 200 to 600 m radius; edge ("start", "end")."""
     network = StreetNetwork()
     path = _winding(layout, 2600.0, (200.0, 600.0), (0.1, 0.5), (80.0, 300.0))
-    network.add_road(("start", "end"), path, 1, width_m)
+    network.add_road(("start", "end"), path, lanes, width_m)
     return network
 
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.vehicle.kinematics import Vehicle
 
 from lanebound.envs.worlds.base import META, Array, Seat, World
-from lanebound.envs.worlds.drivers import CityDriver, LeadVehicle, SpeedProfileConfig, speed_profile
+from lanebound.envs.worlds.drivers import CityDriver, LeadVehicle, SpeedProfileConfig, follow_all, speed_profile
 from lanebound.envs.worlds.networks import (
     CITY_SECTIONS,
     Section,
@@ -38,13 +39,14 @@ class CarFollowingWorld(World):
         That of :class:`World`; also truncated at the end of the road.
     Configuration
         ``layout`` (0 to 3: which road), ``standstill_gap`` [m], ``time_gap`` [s] (range of T), ``lead`` (changes to
-        :class:`SpeedProfileConfig`).
+        :class:`SpeedProfileConfig`), ``platoon`` (vehicles ahead, 1 to 4: the first drives that profile, the others
+        follow it, :func:`~.drivers.follow_all`).
     """
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
         """Defaults of all keys."""
-        own = {"duration": 120.0, "layout": 0, "standstill_gap": 2.0, "time_gap": [0.8, 1.0], "lead": {}}
+        own = {"duration": 120.0, "layout": 0, "standstill_gap": 2.0, "time_gap": [0.8, 1.0], "lead": {}, "platoon": 1}
         return super().default_config() | own
 
     @property
@@ -61,8 +63,13 @@ class CarFollowingWorld(World):
 
     @classmethod
     def most_vehicles(cls, config: dict[str, Any]) -> int:
-        """The ego and the vehicle ahead."""
-        return 2
+        """The ego and the vehicles ahead."""
+        return 1 + int(config["platoon"])
+
+    @staticmethod
+    def _profiles(world: AbstractEnv) -> int:
+        """One for each vehicle ahead."""
+        return int(world.config["platoon"])
 
     def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
         """Draw a start from which the end of the road is not reached within the episode at the speed limit."""
@@ -74,7 +81,11 @@ class CarFollowingWorld(World):
         gap = c["standstill_gap"] + float(rng.uniform(*c["time_gap"])) * speed
         latest = lane.length - END_M - lane.speed_limit * c["duration"]
         start = float(rng.uniform(10.0, max(latest, 20.0)))
-        return [Seat(index, start, speed), Seat(index, start + gap + LeadVehicle.LENGTH, speed)], speeds
+        seats = [Seat(index, start, speed), Seat(index, start + gap + LeadVehicle.LENGTH, speed)]
+        gaps = [c["standstill_gap"] + float(rng.uniform(*c["time_gap"])) * speed for _ in range(1, c["platoon"])]
+        for between in gaps:
+            seats.append(Seat(index, seats[-1].along_m + between + LeadVehicle.LENGTH, speed))
+        return seats, follow_all(speeds, gaps, 1.0 / c["simulation_frequency"]) if gaps else speeds
 
 
 END_M = 40.0  # of the road are left when an episode at the speed limit ends

@@ -60,7 +60,7 @@ class Street:
             pk.hear(p.picture[0], p.radio, 0, p.of_radio[0], time, said, car, u, self.lies)
         if batch.has_sensor:
             noise, ahead = batch._draw("sensor", ROW, 4)[0], np.empty((len(car), 2))
-            pk.look(p.picture[0], p.tracks[0], p.of_sensor[0], ego, car, noise, ahead)
+            pk.look(p.picture[0], p.tracks[0], p.of_sensor[0], ego, car, noise, ahead, p.walls)
         square = np.empty(self.capacity + 2)
         count = pk.sum_up(p.radio, p.tracks[0], p.slots[0], 0, p.of_tracks[0], time, ego, square, p.perceived[0])
         return Traffic.of(p.perceived[0, :count])

@@ -38,7 +38,7 @@ class Sensor:
     def look(self, ego: Any, car: Records) -> Any:
         """Tracks (C,) SIGHTING by slot after another epoch."""
         p, noise = self.batch.pictures, self.batch._draw("sensor", ROW, 4)[0]
-        pk.look(p.picture[0], p.tracks[0], p.of_sensor[0], ego, car, noise, np.empty((len(car), 2)))
+        pk.look(p.picture[0], p.tracks[0], p.of_sensor[0], ego, car, noise, np.empty((len(car), 2)), p.walls)
         return p.tracks[0].copy()
 
 

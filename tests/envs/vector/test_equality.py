@@ -22,6 +22,7 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("LaneKeeping", {**PERFECT, "action": "meta", "world": {"lanes_count": 2}}, 12),
     ("UrbanCanyon", PERFECT, 30),
     ("UrbanCanyon", {**PERFECT, "action": "continuous", "world": {"vehicles_count": 5}}, 15),
+    ("WorkZone", PERFECT, 40),
     ("Racetrack", {**LAPS, "action_options": {"longitudinal": True}}, 40),
     ("Merge", PERFECT, 30),
     ("Merge", {**PERFECT, "action": "continuous"}, 12),
