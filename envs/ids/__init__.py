@@ -1,9 +1,22 @@
 """The environments: a class for each id, what it presets, and the registry of ids."""
 
+from lanebound.envs.ids.guidance import METRE, Guidance
 from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, Roundabout
 from lanebound.envs.ids.preset import CONTINUOUS, META, Preset, has_engine, id_of, refuse_misplaced
 from lanebound.envs.ids.priced import PRICED, PRICES
-from lanebound.envs.ids.registry import CLASSES, IDS, PRICED_IDS, enter, preset_of, presets, register_id, withdraw_id
+from lanebound.envs.ids.registry import (
+    CLASSES,
+    IDS,
+    METRE_IDS,
+    PRICED_IDS,
+    enter,
+    every_id,
+    every_preset,
+    preset_of,
+    presets,
+    register_id,
+    withdraw_id,
+)
 from lanebound.envs.ids.streets import CarFollowing, LaneKeeping, UrbanCanyon
 
 __all__ = [
@@ -11,10 +24,13 @@ __all__ = [
     "CONTINUOUS",
     "IDS",
     "META",
+    "METRE",
+    "METRE_IDS",
     "PRICED",
     "PRICED_IDS",
     "PRICES",
     "CarFollowing",
+    "Guidance",
     "Highway",
     "Intersection",
     "LaneKeeping",
@@ -24,6 +40,8 @@ __all__ = [
     "Roundabout",
     "UrbanCanyon",
     "enter",
+    "every_id",
+    "every_preset",
     "has_engine",
     "id_of",
     "preset_of",
