@@ -262,6 +262,32 @@ def limits(
     show_study(found, tables(found), out, page, as_json)
 
 
+@app.command("guidance")
+def guidance(
+    out: Annotated[Path, typer.Option(help="Folder for results.json; a run is resumed there.")],
+    seeds: Annotated[int | None, typer.Option(min=2, help="Episodes of each case; the study has 24.")] = None,
+    page: Annotated[Path | None, typer.Option(metavar="FILE.md", help="Page whose tables are written anew.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """What a position of metres is worth where a camera keeps the lane: services and drivers in Guidance.
+
+    Example: lanebound assess guidance --out out/guidance --seeds 8
+    """
+    from lanebound.agents.cli.output import show_study
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.report.pages import require_page
+    from lanebound.agents.studies.guidance import SECTIONS, GuidanceConfig, assess_guidance, tables
+
+    if page is not None:
+        require_page(page, SECTIONS)
+    config = GuidanceConfig.load(changes(assignments, seeds=seeds))
+    with resumable(lambda: kept_text(out, "parts/*.json", "case")):
+        found = with_bar("cases", lambda on_progress: assess_guidance(config, out, jobs, on_progress))
+    show_study(found, tables(found), out, page, as_json)
+
+
 def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: bool) -> None:
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar

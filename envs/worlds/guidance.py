@@ -49,7 +49,7 @@ OTHERS_SHARE = (0.75, 0.95)  # of the limit that others want to drive
 
 
 def parallel_roads(width_m: float, separation_m: float) -> StreetNetwork:
-    """Both roads; ``separation_m``: from the middle of the motorway's right lane to that of the collector's left lane."""
+    """Both roads; ``separation_m``: from the middle of the right motorway lane to that of the left collector lane."""
     w, south = width_m, width_m + separation_m  # y of the left collector lane
     network = StreetNetwork(GOAL)
 
