@@ -29,6 +29,7 @@ from lanebound.envs.seats import Seats
 from lanebound.envs.worlds import world_kind
 from lanebound.envs.worlds.closures import announce
 from lanebound.envs.worlds.wander import Wander
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.solution import Solution
 
@@ -77,7 +78,9 @@ class BeliefLoop:
             announce(record, self.episodes.table, world.road.network, closure, radio, context.seed)
         self.episodes.begin(ROW, [context.seed], context.starts, np.ones((1, self.seats.capacity), dtype=np.bool_))
         if self.meta:
-            self.episodes.ego["belief"]["target_speed_mps"] = self.believed.target_speed
+            self._body["target_speed_mps"] = self.episodes.ego["belief"]["target_speed_mps"] = (
+                self.believed.target_speed
+            )
         self._place()
 
     def _perceived_road(self) -> Road:
@@ -124,6 +127,11 @@ class BeliefLoop:
     def _ends_epoch(self) -> bool:
         """Whether the last simulation step ended an epoch."""
         return self._steps % self.steps_per_epoch == 0
+
+    @property
+    def _body(self) -> Records:
+        """(1,) BELIEF by which the car moves in its lane: of the camera where there is one."""
+        return self.episodes.ego["belief" if self.config.lane_sensor is None else "eye"]
 
     # A policy step
 
@@ -174,13 +182,13 @@ class BeliefLoop:
 
     def _place(self) -> None:
         """Move the believed vehicle to the estimate; lanes of a planned route count where others cross or part."""
-        if self.config.navigation.source is Source.PERFECT:
+        belief, table = self._body, self.episodes.table
+        b = belief[0]
+        if self.config.lane_sensor is None and self.config.navigation.source is Source.PERFECT:
             self.believed.copy_from(self.ego)
             return
-        belief, table = self.episodes.ego["belief"], self.episodes.table
-        b = belief[0]
         index = table.index[b["lane"]]
-        if self.believed.route and index[:2] != self.believed.lane_index[:2]:
+        if self.config.lane_sensor is None and self.believed.route and index[:2] != self.believed.lane_index[:2]:
             planned = self.believed.planned
             if index[:2] not in planned:
                 extra = np.array([0.0 if other[:2] in planned else ROUTE_M for other in table.index])
@@ -191,7 +199,7 @@ class BeliefLoop:
     def intend(self) -> dict[str, float]:
         """Steering and acceleration that carry meta-actions out from the believed pose."""
         e, car = self.episodes, self.believed
-        lanes, belief, rows = e.table.lanes, e.ego["belief"], e.table.row
+        lanes, belief, rows = e.table.lanes, self._body, e.table.row
         target = rows[car.target_lane_index]
         if ego_kernel.past_end(lanes, target, car.position[0], car.position[1]):
             car.follow_road()
@@ -233,7 +241,7 @@ class BeliefLoop:
         e, row = self.episodes, self.episodes.table.row
         self.seats.read(full=True)
         self._intents()
-        for index in {self.believed.lane_index, self.ego.lane_index}:
+        for index in {self.believed.lane_index, self.ego.lane_index, e.table.index[e.ego["belief"]["lane"][0]]}:
             e.path_of[0, row[index]] = e.routes.row(row[index], self.route)
         kind = world_kind(self.config.base)
         goal = None if kind is None else kind.arrived
@@ -251,7 +259,7 @@ class BeliefLoop:
     def _intents(self) -> None:
         """Targets of meta-actions, into the records."""
         if self.meta:
-            belief = self.episodes.ego["belief"]
+            belief = self._body
             belief["target_lane"] = self.episodes.table.row[self.believed.target_lane_index]
             belief["target_speed_mps"] = self.believed.target_speed
 

@@ -12,6 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from lanebound.envs.actuators import ActuatorConfig
 from lanebound.envs.alert_limits import AlertLimit, BudgetConfig
 from lanebound.envs.costs import GROUPS, AlertSpeed, CostConfig, CostLimits
+from lanebound.envs.lane_sensor import LaneSensorConfig
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.observation import ObservationConfig
 from lanebound.envs.perception import PerceptionConfig
@@ -86,6 +87,9 @@ class EnvConfig(Config):
     actuators: ActuatorConfig | None = Field(
         ActuatorConfig(), description="limits of steering; None for highway-env's own"
     )
+    lane_sensor: LaneSensorConfig | None = Field(
+        None, description="camera that keeps the car in its lane; None: it keeps its lane by the position"
+    )
     alert_limit: AlertLimit = Field(
         AlertLimit.FIXED, description="alert limits: fixed, or of a budget at each decision"
     )
@@ -152,6 +156,7 @@ class EnvConfig(Config):
             "filters": navigator.get("kind") == "filter",
             "speed_geometry": _limits_sdop(navigator),
             "permitted_speed": _follows_level(data.get("cost")),
+            "roads": data.get("lane_sensor") is not None,
         }
         given = observation.get("navigator_services")
         if given and isinstance(given, list | tuple) and tuple(given) != shown["navigator_services"]:
@@ -216,6 +221,21 @@ class EnvConfig(Config):
             raise ConfigError(
                 f"budget.most_m must be <= observation.pl_max_m = {self.observation.pl_max_m}, as far as limits are "
                 f"shown, got {self.budget.most_m}: raise pl_max_m or lower most_m"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _roads_are_matched(self) -> Self:
+        if self.lane_sensor is None and self.cost.alert_speed is AlertSpeed.ROADS:
+            raise ConfigError("cost.alert_speed must be 'share' or 'level' without a lane_sensor, got 'roads': add one")
+        return self
+
+    @model_validator(mode="after")
+    def _camera_has_no_budget(self) -> Self:
+        # A budget is the room in the lane, which a camera measures: the position has no part in it.
+        if self.lane_sensor is not None and self.alert_limit is AlertLimit.BUDGET:
+            raise ConfigError(
+                "alert_limit must be 'fixed' with a lane_sensor, got 'budget': set al_at_m and al_ct_m, or remove one"
             )
         return self
 
@@ -309,9 +329,9 @@ def _limits_sdop(navigator: Mapping[str, Any]) -> bool:
 
 
 def _follows_level(cost: Any) -> bool:
-    """Whether the speed permitted under an alert follows from the level, by the data of ``cost``."""
+    """Whether the speed permitted under an alert is more than a share of the limit, by the data of ``cost``."""
     given = cost.get("alert_speed") if isinstance(cost, Mapping) else getattr(cost, "alert_speed", None)
-    return given in (AlertSpeed.LEVEL, AlertSpeed.LEVEL.value)
+    return given in (*AlertSpeed, *(kind.value for kind in AlertSpeed)) and AlertSpeed(given).is_shown
 
 
 def _has_context(navigator: Mapping[str, Any]) -> bool:

@@ -24,6 +24,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "alert": ("cost_alert",),
     "hmi": ("cost_hmi",),
     "blocking": ("cost_blocking",),
+    "guidance": ("cost_speeding", "cost_route", "cost_gore"),
 }
 """Groups of causes whose weighted sum over an episode may have a limit of its own. A crash, an end off the road and the
 warnings of the context monitor are in none: they count in the whole cost alone."""
@@ -34,6 +35,12 @@ class AlertSpeed(Enum):
 
     SHARE = "share"
     LEVEL = "level"
+    ROADS = "roads"
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether the speed has an entry in the observation: it is not a share of the limit, which has one."""
+        return self is not AlertSpeed.SHARE
 
 
 class CostConfig(Config):
@@ -53,6 +60,14 @@ class CostConfig(Config):
     hmi: float = Field(5.0, ge=0, description="weight of cost_hmi [1/s]; what integrity is to prevent")
     context: float = Field(0.0, ge=0, description="weight of cost_context [1/s]; 0: a warning costs nothing")
     blocking: float = Field(0.0, ge=0, description="weight of cost_blocking [1/s]; 0: to stand costs nothing")
+    speeding: float = Field(0.0, ge=0, description="weight of cost_speeding [1/s]; 0: highway-env has no such rule")
+    route: float = Field(
+        0.0, ge=0, description="weight of cost_route [-]; only worlds with a goal of a network have it"
+    )
+    gore: float = Field(0.0, ge=0, description="weight of cost_gore [1/s]; 0: to change late costs nothing")
+    gore_m: float = Field(
+        50.0, gt=0, le=500, description="before and behind a fork, where a change of lanes is late; chosen"
+    )
     blocking_share: float = Field(
         0.7,
         gt=0,
@@ -70,7 +85,9 @@ class CostConfig(Config):
     brake_min_mps2: float = Field(4.0, gt=0, description="braking that the ego is sure to reach; RSS, IEEE 2846 survey")
     brake_max_mps2: float = Field(6.0, gt=0, description="braking of the leader at most; our leads brake 2.5 to 6")
     alert_speed: AlertSpeed = Field(
-        AlertSpeed.SHARE, description="speed permitted under an alert: a share of the limit, or less as levels grow"
+        AlertSpeed.SHARE,
+        description="speed permitted under an alert: a share of the limit, or less as levels grow, or with a "
+        "lane sensor the least limit of the roads that levels leave possible",
     )
     alert_speed_share: float = Field(
         0.5,
@@ -113,6 +130,9 @@ class CostLimits(Config):
     alert: float | None = Field(None, ge=0, description="of cost_alert; None: none of its own")
     hmi: float | None = Field(None, ge=0, description="of cost_hmi; None: none of its own")
     blocking: float | None = Field(None, ge=0, description="of cost_blocking; None: none of its own")
+    guidance: float | None = Field(
+        None, ge=0, description="of cost_speeding, cost_route and cost_gore; None: none of its own"
+    )
 
     @property
     def given(self) -> dict[str, float]:

@@ -34,6 +34,9 @@ INFO: dict[str, str] = {
     "cost_hmi": "time with hazardously misleading information [s]",
     "cost_context": "time driven too fast or changing lane under a warning of the context monitor [s]",
     "cost_blocking": "time slower than the flow where no stop is right, times what lacks; 0 if it weighs 0 [s]",
+    "cost_speeding": "time above the limit of the lane that the true car is on, times the share above [s]",
+    "cost_route": "1 in the step in which the true car comes onto a road that does not lead to the goal",
+    "cost_gore": "time in which the true body is over a line near a fork [s]; 0 if it weighs 0",
     "pl_at_m": "protection level along the track; inf without one [m]",
     "pl_ct_m": "protection level across the track; inf without one [m]",
     "al_at_m": "alert limit along the track [m]",
@@ -58,6 +61,9 @@ INFO: dict[str, str] = {
     "wrong_way": "it has driven against its lane for too long",
     "astray_now": "either of these two, and new in this step",
     "is_success": "the episode ends well here",
+    "lost": "no lane leads from the true car's road to the goal; never where a network has none",
+    "lost_now": "it has come onto such a road in this step",
+    "wrong_road": "it is believed on another road; never without a lane sensor",
     "yaw_rate_radps": "true turn rate over the step [rad/s]",
 }
 

@@ -6,7 +6,7 @@ above. It is East-South: ``E = x``, ``N = -y``, azimuth = heading + pi / 2. Late
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -62,6 +62,9 @@ class EgoBelief:
     model_curved, nis_position, nis_wheels, nis_gyro, nis_steering, nis_slip, nis_compass, trust_m, sdop : as in
         Solution
     permitted_mps : speed permitted by ``cost.alert_speed: level``; of no meaning without it
+    fix_position_m : (2,) of the navigator on the map; a lane sensor puts it on a lane as ``position_m``
+    road_offset_m, other_road_m, other_limit_mps, possible_mps, roads_agree, lane_seen, route_shift : as in BELIEF, with
+        a lane sensor; of no meaning without one
     """
 
     time_s: float
@@ -109,16 +112,30 @@ class EgoBelief:
     context_score: float = 0.0
     link_probability: float = 0.0
     permitted_mps: float = np.inf
+    fix_position_m: Array = field(default_factory=lambda: np.zeros(2))
+    road_offset_m: float = 0.0
+    other_road_m: float = np.inf
+    other_limit_mps: float = np.inf
+    possible_mps: float = np.inf
+    roads_agree: bool = True
+    lane_seen: bool = True
+    route_shift: int = 0
 
     @classmethod
     def of(cls, beliefs: Records, row: int, table: LaneTable) -> EgoBelief:
         """The belief in a row of BELIEF, on the lanes of a table."""
         values: dict[str, Any] = dict(zip(beliefs.dtype.names or (), beliefs[row].item(), strict=True))
         position = np.array([values.pop("x_m"), values.pop("y_m")])
+        fix = np.array([values.pop("fix_x_m"), values.pop("fix_y_m")])
         lane, target = table.index[values.pop("lane")], table.index[values.pop("target_lane")]
-        flags = {name: bool(values.pop(name)) for name in ("alert", "available", "context_warning")}
+        flags = {
+            name: bool(values.pop(name))
+            for name in ("alert", "available", "context_warning", "roads_agree", "lane_seen")
+        }
         del values["path"]
-        return cls(position_m=position, lane_index=lane, target_lane_index=target, **flags, **values)
+        return cls(
+            position_m=position, fix_position_m=fix, lane_index=lane, target_lane_index=target, **flags, **values
+        )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CLASSES, CONTINUOUS, IDS, META, MORE, PRICED_IDS, enter
+from lanebound.envs.ids import CLASSES, CONTINUOUS, IDS, META, MORE, enter, every_id
 from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import nearest
@@ -29,7 +29,7 @@ def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvC
     ConfigError
         An unknown key or a value out of range, with its path.
     """
-    presets = IDS | PRICED_IDS
+    presets = every_id()
     if env_id not in presets:
         raise InputError(f"env_id must be one of {', '.join(presets)}, got {env_id!r}: {nearest(env_id, presets)}")
     return EnvConfig.build(presets[env_id], overrides)
@@ -38,7 +38,7 @@ def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvC
 def base_of(env_id: str) -> str:
     """The world of an id of ours, with or without ``lanebound/``; any other id is its own."""
     ours = f"lanebound/{env_id.removeprefix('lanebound/')}"
-    return make_config(ours).base if ours in IDS or ours in PRICED_IDS else env_id
+    return make_config(ours).base if ours in every_id() else env_id
 
 
 def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> DrivingEnv:

@@ -60,6 +60,12 @@ class AwareConfig(RssConfig):
         description="the own lane is widened by PL_CT, by this at most; broadcasts can be a lane off",
     )
     cross_extra_m: float = Field(0.5, ge=0, description="crossing vehicles are widened by PL_AT, by this at most")
+    decide_m: float = Field(
+        130.0,
+        gt=0,
+        description="to the end of the road for each change of lanes for a goal: farther away it waits while possible "
+        "roads ask for different ones; 4.7 s at 27.8 m/s, chosen",
+    )
     sky_bonus_mps2: float = Field(0.5, ge=0, description="gain of a lane that sees the sky where the own does not")
     closure_bonus_mps2: float = Field(1.0, ge=0, description="gain of leaving a lane that is known to close; chosen")
 
@@ -75,6 +81,10 @@ class IntegrityAware(Rss):
     ends while the car waits. It is longer where the car soon reaches the open sky. In between the car does not slow
     down further: errors across the track grow with time, about 0.1 m/s at any speed above walking pace, so that a
     blocked stretch of D metres adds more error at a lower speed (a gyro's bias b adds ``b D^2 / 2 v``).
+
+    Where a camera keeps the lane, levels say which roads are possible. It then keeps to the least limit of these,
+    without a stop under an alert; changes of lanes for the goal wait under an alert, and while possible roads ask for
+    different ones, until they must be made.
     """
 
     NEEDED: ClassVar[Sequence[str]] = (
@@ -117,6 +127,8 @@ class IntegrityAware(Rss):
         route = super().free_speed(observation)
         limit = reader.value(observation, "road.speed_limit")
         slow = c.alert_share * np.where(limit < reader.scale("road.speed_limit"), limit, c.speed_mps)
+        if self.reader.config.roads:
+            return np.minimum(route, reader.value(observation, "integrity.possible_limit"))
         worst = np.maximum(
             reader.value(observation, "integrity.ratio_at"), reader.value(observation, "integrity.ratio_ct")
         )
@@ -186,8 +198,13 @@ class IntegrityAware(Rss):
 
     def change(self, observation: Observation) -> NDArray[np.int64]:
         """As nominal, with a bonus for the sky; none while an alert is on."""
-        alert = self.reader.value(observation, "integrity.alert") > 0.5
-        return np.where(alert, 0, super().change(observation))
+        value = self.reader.value
+        waits = value(observation, "integrity.alert") > 0.5
+        if self.reader.config.roads:
+            left = self.config.decide_m * np.abs(value(observation, "road.route_shift"))
+            waits |= value(observation, "integrity.roads_agree") < 0.5
+            waits &= value(observation, "road.junction") > left
+        return np.where(waits, 0, super().change(observation))
 
     def bonus(self, observation: Observation) -> tuple[Array | float, Array | float]:
         """For each side the share of the points ahead with enough satellites there and too few on the own lane.

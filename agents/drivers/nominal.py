@@ -42,6 +42,7 @@ class PassingSteering:
         return self.law(observation, side * self.reader.value(observation, "ego.lane_width"))
 
 
+ROUTE_MPS2 = 100.0  # gain of the lane that the way to a goal asks for: more than any acceleration
 META_MPS2, META_S = 3.0, 0.25
 """Acceleration and response by which meta-actions start: highway-env's control covers 8.6 m in 2.5 s, 20 m in 4.5 s."""
 
@@ -91,9 +92,13 @@ class Nominal(Plan):
         return 0.0, 0.0
 
     def change(self, observation: Observation) -> NDArray[np.int64]:
-        """By MOBIL, with gaps reduced by their margins."""
+        """By MOBIL, with gaps reduced by their margins; with a way to a goal only for that, where gaps are safe."""
         along, _ = self.margins(observation)
         wanted, bonus = self.wanted_speed(observation), self.bonus(observation)
+        if self.reader.config.roads:
+            shift = self.reader.value(observation, "road.route_shift")
+            left, right = (np.where(side * shift > 0.0, ROUTE_MPS2, -ROUTE_MPS2) for side in (-1.0, 1.0))
+            bonus = left, right
         return changes(
             self.reader, observation, wanted, self.config, self.mobil, along, bonus, self.own_margin(observation)
         )

@@ -9,7 +9,7 @@ from typing import Any, cast
 import gymnasium
 
 from lanebound.envs import IDS, DrivingEnv, make_config, wrap
-from lanebound.envs.ids import PRICED_IDS
+from lanebound.envs.ids import every_id
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.integrity.core.config_errors import below
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -31,7 +31,7 @@ def full_id(name: str) -> str:
     InputError
         Neither an id of lanebound nor of highway-env.
     """
-    short = {_short(env_id): env_id for env_id in (*IDS, *PRICED_IDS)}
+    short = {_short(env_id): env_id for env_id in every_id()}
     if _short(name) in short and (name.count("-v") == 0 or name.endswith("-v0")):
         return short[_short(name)]
     if name in gymnasium.registry and not name.startswith("lanebound/"):
@@ -53,7 +53,7 @@ def open_env(name: str, overrides: Mapping[str, Any] | None = None, render_mode:
         As :func:`full_id`; ConfigError for a value that is refused.
     """
     env_id = full_id(name)
-    if env_id not in IDS and env_id not in PRICED_IDS:
+    if env_id not in every_id():
         return wrap(env_id, overrides, render_mode)
     make_config(env_id, overrides)  # refused here, before Gymnasium changes the message
     try:

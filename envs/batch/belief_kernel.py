@@ -130,6 +130,7 @@ def settle(t, b, lanes, passed, rules):  # type: ignore[no-untyped-def]
     b.x_m, b.y_m = t.x_m + t.residual_x_m + t.map_x_m, t.y_m + t.residual_y_m + t.map_y_m
     b.heading_rad, b.speed_mps = t.heading_rad, t.fix_speed_mps
     b.yaw_rate_radps, b.acceleration_mps2 = t.yaw_rate_radps, t.acceleration_mps2
+    b.fix_x_m, b.fix_y_m = b.x_m, b.y_m
     b.lane = nearest(lanes, b.x_m, b.y_m, b.heading_rad)
     s, c = math.sin(t.heading_rad), math.cos(t.heading_rad)
     b.pl_at_m = t.pl_at_m + (abs(c * t.residual_x_m + s * t.residual_y_m) + rules.map_bound_m)
@@ -185,6 +186,7 @@ def take_given(b, t, car, lanes, passed, rules):  # type: ignore[no-untyped-def]
         b.x_m += at * cosine - ct * sine
         b.y_m += at * sine + ct * cosine
         b.lane = nearest(lanes, b.x_m, b.y_m, b.heading_rad)
+    b.fix_x_m, b.fix_y_m = b.x_m, b.y_m
     b.pl_at_m, b.pl_ct_m, b.mode, b.rtk = abs(at), abs(ct), rules.mode_given, rules.rtk_given
     _trust(b, t, rules, False, True, rules.reason_none, passed)
 

@@ -26,8 +26,18 @@ which the car stops in comfort before its lane ends. The cost is 0 while a vehic
 crosses (:func:`.conflict_kernel.must_give_way`), and where its weight is 0. Cars that are much slower than the flow
 crash more often (Solomon, Accidents on main rural highways, 1964).
 
+``cost_speeding``  ``max(0, (v cos(psi) - 3 km/h) / v_limit - 1) dt``, at most dt, of the TRUE car on its true lane.
+``cost_route``  1 in the step in which the TRUE car comes onto a road that does not lead to the goal of the world.
+``cost_gore``  dt while the TRUE body is over a line of its lane less than ``gore_m`` before or behind a fork.
+
+With a lane sensor the corridor is that of the lane that the camera follows, and ``cost_lane_integrity`` takes offset
+and bound of the camera: the car is kept in its lane by the camera, so a level of the navigator of many metres does not
+say that it may leave its lane, but that it may be on another road. That has costs of its own: these three, and the
+alert.
+
 Under an alert the permitted speed is a share of the limit, or it follows from the level as shown at the last decision
-(:func:`.budget_kernel.permitted_mps`).
+(:func:`.budget_kernel.permitted_mps`), or with a lane sensor it is the least limit of the roads that levels leave
+possible, and the tolerance of 3 km/h.
 
 The corridor is the lanes that the car may be in: its own, and during a commanded change the lane that the change comes
 from. Where a road ends, the lanes that lead to it and on from it count as well, and where several roads meet, all of
@@ -42,7 +52,7 @@ from lanebound.envs.batch.conflict_kernel import must_give_way, second_arrival_s
 from lanebound.envs.batch.lanes_kernel import NONE, STRAIGHT, local, of_side, straight, width_at
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["CHANGE_S", "EXCESS_MOST_M", "UNKNOWN_GAP_M", "begin_corridor", "doubt_m",
+__all__ = ["CHANGE_S", "EXCESS_MOST_M", "TOLERANCE_MPS", "UNKNOWN_GAP_M", "begin_corridor", "doubt_m",
            "follow_corridor", "lead_of",
            "overhang_m", "price", "rss_distance_m", "shortfall"]  # fmt: skip
 
@@ -51,6 +61,7 @@ JOINT_M = 1.0  # lanes that follow each other do not meet exactly in every world
 UNKNOWN_GAP_M = 40.0  # what a missing level of the gap counts as; as far as observations show levels
 EXCESS_MOST_M = 2.0  # beyond a lane's width being further out is no worse; also what a missing level counts as
 STANDING_MPS = 0.1
+TOLERANCE_MPS = 3.0 / 3.6  # above a limit that does not count: of speed measurements in Germany below 100 km/h
 
 
 @jit(inline=True)
@@ -236,11 +247,42 @@ def _blocking(cars, lanes, along, least):  # type: ignore[no-untyped-def]
     return min(1.0 - along / least, 1.0)
 
 
+@jit(inline=True)
+def _speeding(car, lanes, along):  # type: ignore[no-untyped-def]
+    """Share by which the true car exceeds the limit of the lane that it is on, at most 1."""
+    limit = lanes.table[car.lane].speed_limit_mps
+    return min(max((along - TOLERANCE_MPS) / limit - 1.0, 0.0), 1.0) if limit > 0.0 else 0.0
+
+
 @jit(borrows=True)
-def price(b, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  # type: ignore[no-untyped-def]
+def _forks(lanes, road):  # type: ignore[no-untyped-def]
+    """Whether a road forks at its end, and whether it begins at a fork."""
+    ends = lanes.table[road].joint_last - lanes.table[road].joint_onward > 1
+    begins = False
+    for k in range(lanes.table[road].joint_first, lanes.table[road].joint_onward):
+        before = lanes.joints[k].road
+        begins = begins or lanes.table[before].joint_last - lanes.table[before].joint_onward > 1
+    return ends, begins
+
+
+@jit(borrows=True)
+def _changes_late(car, lanes, gore_m):  # type: ignore[no-untyped-def]
+    """Whether the true body is over a line of its lane within a distance of a fork."""
+    lane = lanes.table[car.lane]
+    s, r, direction = local(lanes, car.lane, car.x, car.y)
+    ends, begins = _forks(lanes, lane.road)
+    near = (ends and s > lane.length_m - gore_m) or (begins and s < gore_m)
+    angle = car.heading - direction
+    half = 0.5 * (car.width * abs(math.cos(angle)) + car.length * abs(math.sin(angle)))
+    return near and abs(r) + half > 0.5 * width_at(lanes, car.lane, s)
+
+
+@jit(borrows=True)
+def price(b, body, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  # type: ignore[no-untyped-def]
     """Fill the costs of a step by cause, and their weighted sum; ``out`` holds the verdict already.
 
-    along: speed of the true car along its lane; flow: that of the flow there [m/s].
+    body: the belief, or the pose of a lane sensor; along: speed of the true car along its lane; flow: that of the flow
+    there [m/s].
     """
     keep, speed, c = rules.keep_lane != 0, abs(cars[0].speed), rules.costs
     # A body beyond its lane may be struck while it stands as well; that it stands so is not excluded by a level.
@@ -248,7 +290,7 @@ def price(b, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  # type
     beyond = min(max(overhang_m(cars[0], sc, lanes, keep), 0.0), EXCESS_MOST_M)
     doubt = 0.0
     if keep:
-        doubt = min(max(doubt_m(b, sc, b.pl_ct_m, 0.5 * cars[0].width, lanes, False), 0.0), EXCESS_MOST_M)
+        doubt = min(max(doubt_m(body, sc, body.pl_ct_m, 0.5 * cars[0].width, lanes, False), 0.0), EXCESS_MOST_M)
     late = b.alert != 0 and b.alert_age_s > c.time_to_alert_s
     limit = lanes.table[b.lane].speed_limit_mps
     share = c.alert_speed_share * limit if limit > 0.0 else math.inf
@@ -272,4 +314,8 @@ def price(b, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  # type
     total += c.headway * out.cost_headway + c.conflict * out.cost_conflict
     total += c.alert * out.cost_alert
     total += c.hmi * out.cost_hmi + c.context * out.cost_context
-    out.cost = total + c.blocking * out.cost_blocking
+    out.cost_speeding = _speeding(cars[0], lanes, along) * dt
+    out.cost_route = out.lost_now
+    out.cost_gore = dt if c.gore > 0.0 and _changes_late(cars[0], lanes, c.gore_m) else 0.0
+    total += c.blocking * out.cost_blocking + c.speeding * out.cost_speeding
+    out.cost = total + (c.route * out.cost_route + c.gore * out.cost_gore)

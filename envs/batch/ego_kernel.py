@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from lanebound.envs.batch.lane_sensor_kernel import body_of
 from lanebound.envs.batch.lanes_kernel import (
     PAST_END_M,
     heading_at,
@@ -37,9 +38,9 @@ def not_zero(x):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def follow_road(ego, lanes, routes):  # type: ignore[no-untyped-def]
-    """Take the next lane as the target near the end of the target lane, by the believed position."""
-    b = ego.belief
+def follow_road(ego, lanes, routes, rules):  # type: ignore[no-untyped-def]
+    """Take the next lane as the target near the end of the target lane, by the pose of the body."""
+    b = body_of(ego, rules)
     b.target_lane, at = following(lanes, routes, ego.route, b.target_lane, b.x_m, b.y_m)
     ego.route = at
 

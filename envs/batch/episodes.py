@@ -34,12 +34,22 @@ from lanebound.envs.observation.index import Observed, Source, entries, sources_
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.streams import named_states
 
 __all__ = ["Episodes", "copy_rows", "empty_cars", "reach_of"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-RESTARTED = ("belief", "track", "command", "score", "facts", "outcome")  # parts of EGO that a start clears
+RESTARTED = (
+    "belief",
+    "eye",
+    "camera",
+    "track",
+    "command",
+    "score",
+    "facts",
+    "outcome",
+)  # parts of EGO that a start clears
 EPS_S = 1e-6  # a window of 1 s holds ten steps of 0.1 s, whatever they sum to
 TAKE_US, CONCLUDE_US = 0.5, 5.0  # of one thread for an environment, measured
 
@@ -180,6 +190,8 @@ class Episodes:
             approach = navigation.begin(rows, seeds, starts, self.cars, crew)
             local *= navigation.vehicles
         lanes, rules = self.table.lanes, self.rules
+        if self.config.lane_sensor is not None:
+            rk.open_rows(0, rows.size, rows, self.cars, self.ego, named_states(seeds, "lane_sensor"), lanes, rules)
         if self._sensed and approach is not None and starts is not None:
             fixes, shift = fixes_of(approach.solution), self.config.navigation.map_sigma_m * starts.map_shift
             rk.begin_rows(0, rows.size, rows, local, fixes, shift, self.ego, lanes, rules)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from math import ceil, cos, hypot, sin
+from math import ceil, cos, hypot, inf, sin
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lanebound.envs.batch import lanes_kernel as lk
 from lanebound.envs.batch.conflict_kernel import CROSSING_COS
 from lanebound.envs.batch.lanes_kernel import Lanes
+from lanebound.envs.batch.next_lane_kernel import STEP, beyond
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.integrity.core.frames import wrap_angle
@@ -26,6 +27,8 @@ __all__ = ["LaneTable", "lane_table"]
 
 NODE_STEP_M = 2.0  # of sampled centrelines: 1e-5 m of error on a radius of 15 m
 REMEMBERED = 64  # networks
+JOINED_M = 1.0  # beside a lane that goes on from another; farther, a car changes lanes
+NO_ROUTE = np.array([(lk.NONE, lk.NONE)], STEP)
 
 Row = list[Any]
 Joint = tuple[int, bool]
@@ -61,11 +64,14 @@ def lane_table(network: RoadNetwork) -> LaneTable:
     """The table of a network; networks of equal lanes share one."""
     roads = [(a, b, row) for a, ends in network.graph.items() for b, row in ends.items()]
     parts = [_content(lane) for _, _, row in roads for lane in row]
-    key: Any = (tuple((a, b, len(row)) for a, b, row in roads), tuple(parts))
+    goal = getattr(network, "goal", None)
+    key: Any = (tuple((a, b, len(row)) for a, b, row in roads), tuple(parts), goal)
     known = None not in parts
     table = _tables.get(key) if known else None
     if table is None:
         table = _build(roads)
+        if goal is not None:
+            _show_way(table, goal)
         if known:
             _tables[key] = table
             if len(_tables) > REMEMBERED:
@@ -107,6 +113,36 @@ def _build(roads: list[tuple[str, str, Row]]) -> LaneTable:
     table["onward"] = _onward(roads, first)
     table["crossed"] = _crossed([lane for _, _, row in roads for lane in row], table["road"])
     return LaneTable(Lanes(table, *parts.arrays), index, {lane: n for n, lane in enumerate(index)})
+
+
+def _show_way(table: LaneTable, goal: tuple[str, str]) -> None:
+    """Fill ``goal_shift`` and ``lost`` of the lanes of a network, as a navigation system has them for a goal.
+
+    From each lane a car goes on to the lane ahead, without a change or, where its lane ends, with one. The way with the
+    fewest changes counts, of equal ones that with the earliest.
+    """
+    lanes, records = table.lanes, table.lanes.table
+    first, reached = records["road"], table.row[(*goal, 0)]
+    ahead = [beyond(lanes, NO_ROUTE, 0, n) for n in range(len(records))]
+    gap_m = [0.0 if m == lk.NONE else _gap_m(lanes, n, m) for n, m in enumerate(ahead)]
+    changes = np.where(first == reached, 0.0, inf)
+    for _ in records:  # each round finds the ways of one more road
+        onward = np.array(
+            [inf if m == lk.NONE else changes[m] + (gap > JOINED_M) for m, gap in zip(ahead, gap_m, strict=True)]
+        )
+        for n in np.flatnonzero(first != reached):
+            others = np.arange(first[n], first[n] + records["count"][n])
+            far = onward[others] + np.abs(others - n)
+            changes[n] = far.min()
+            best = others[far == changes[n]]
+            records["goal_shift"][n] = best[np.argmax(np.abs(best - n))] - n if changes[n] < inf else 0
+    records["lost"] = changes == inf
+
+
+def _gap_m(lanes: Lanes, n: int, onward: int) -> float:
+    """How far the end of a lane lies beside the lane onward [m]."""
+    x, y = lk.place(lanes, n, lanes.table["length_m"][n], 0.0)
+    return abs(float(lk.local(lanes, onward, x, y)[1]))
 
 
 def _crossed(lanes: Row, road: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -46,6 +46,11 @@ LANE = record(
     width_m="of the lane; see width_at for sampled lanes",
     speed_limit_mps="0 for none",
     forbidden=("i8", "1 where vehicles may not change to the lane"),
+    goal_shift=(
+        "i8",
+        "lanes to change to the right, negative to the left, to reach the goal of the network; 0 without",
+    ),
+    lost=("i8", "1 where no lane of the road leads to that goal"),
     side=("i8", "number on its road, 0 leftmost"),
     road=("i8", "row of the leftmost lane of the road, which names the road"),
     count=("i8", "number of lanes of the road"),

@@ -8,17 +8,19 @@ from __future__ import annotations
 from lanebound.integrity.core.records import record
 
 __all__ = [
-    "BELIEF", "BUDGET", "CAR", "CAUSES", "CLOSURE", "COMMAND", "COST_FIGURES", "EGO", "FACTS", "GIVEN", "OUTCOME",
-    "PERCEIVED", "REWARD_WEIGHTS", "RULES", "SCORE", "SENSED", "TERMS", "TRACK", "VIEW",
+    "BELIEF", "BUDGET", "BY_LEVEL", "BY_ROADS", "CAMERA", "CAR", "CAUSES", "CLOSURE", "COMMAND", "COST_FIGURES", "EGO",
+    "FACTS", "GIVEN", "LANE_SENSOR", "OUTCOME", "PERCEIVED", "REWARD_WEIGHTS", "RULES", "SCORE", "SENSED", "TERMS",
+    "TRACK", "VIEW",
 ]  # fmt: skip
 
 GIVEN, SENSED = 0, 1  # sources of the ego's position
+BY_LEVEL, BY_ROADS = 1, 2  # where the speed permitted under an alert follows from
 
 TERMS = ("progress", "lane_centre", "comfort", "collision", "base")
 """Terms of the reward."""
 CAUSES = (
     "cost_collision", "cost_off_road", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_conflict",
-    "cost_alert", "cost_hmi", "cost_context", "cost_blocking",
+    "cost_alert", "cost_hmi", "cost_context", "cost_blocking", "cost_speeding", "cost_route", "cost_gore",
 )  # fmt: skip
 """Costs by cause."""
 
@@ -90,6 +92,15 @@ BELIEF = record(
     closure_start_m="from the middle of the car to the start of the closure, inf where none is known",
     closure_end_m="to its end",
     closure_limit_mps="speed limit announced with it, inf where none is known",
+    fix_x_m="position of the navigator on the map; what a lane sensor puts on a lane is x_m, y_m",
+    fix_y_m="position of the navigator on the map",
+    road_offset_m="with a lane sensor: offset of the navigator's position from that of the camera, to the right",
+    other_road_m="with a lane sensor: from the navigator's position to the nearest other road beside it, inf for none",
+    other_limit_mps="speed limit of that road, inf for none",
+    possible_mps="with a lane sensor: least speed limit of the roads that the levels leave possible",
+    roads_agree=("i8", "1 where all of these ask for the same change of lanes"),
+    lane_seen=("i8", "1 where the lane sensor sees the markings"),
+    route_shift=("i8", "lanes to change to the right for the goal, negative to the left"),
 )
 
 TRACK = record(
@@ -111,6 +122,18 @@ TRACK = record(
     map_y_m="error of the ego's map",
     hold_s="for which an alert of limits from a budget is still held",
 )
+
+CAMERA = record(
+    out=("i8", "1 during a dropout"),
+    road=("i8", "road that is believed, NONE before the first"),
+    offset_m="error of the offset that stays in an episode",
+    heading_rad="error of the heading that stays in an episode",
+    bound_rad="bound of the heading's error, which grows during a dropout",
+    fix_heading_rad="heading of the navigator at the last match",
+    turned_rad="that heading at the last look",
+    state=("u8", (4,), "of the generator"),
+)
+"""What the lane sensor remembers."""
 
 COMMAND = record(
     acceleration_mps2="commanded directly",
@@ -139,6 +162,7 @@ SCORE = record(
     change_s="time spent changing beyond that spent in a lane",
     conflict="largest severity of the conflict that goes on, 0 without one",
     observed=("i8", "observations since the start"),
+    lost=("i8", "1 after the car came onto a road that does not lead to the goal"),
 )
 
 FACTS = record(
@@ -176,6 +200,9 @@ OUTCOME = record(  # numbers, then what is true where positive, then codes: each
     wrong_way="1 after driving against the lane for too long",
     astray_now="1 in the step in which the car left the road or turned against the traffic",
     is_success="1 when the episode ends well",
+    lost="1 when no lane leads from the car's road to the goal",
+    lost_now="1 in the step in which it came onto such a road",
+    wrong_road="1 when a lane sensor is believed to be on another road than the car is on",
     alert="1 while an alert is on",
     available="1 while no level exceeds its limit",
     mode="code of Mode",
@@ -240,6 +267,11 @@ EGO = record(
     route=("i8", "row of the first step that is left of the planned route, 0 for none"),
     place=("i8", "place of the ego in the world's list of vehicles, by which pairs that crash are ordered"),
     placed=("i8", "lane on which the belief was last; where there is a route, it decides between lanes that cross"),
+    eye=(
+        BELIEF,
+        "with a lane sensor: the pose in the physical lane by the camera, its intents, and as pl_ct_m its bound",
+    ),
+    camera=(CAMERA, "what the lane sensor remembers"),
 )
 """All that belongs to an environment as a whole."""
 
@@ -269,6 +301,10 @@ COST_FIGURES = record(
     hmi="weight of cost_hmi [1/s]",
     context="weight of cost_context [1/s]",
     blocking="weight of cost_blocking [1/s]",
+    speeding="weight of cost_speeding [1/s]",
+    route="weight of cost_route [-]",
+    gore="weight of cost_gore [1/s]",
+    gore_m="before and after a fork, where a change of lanes counts as late",
     standing_speed_mps="speed that time beyond the lane counts for at least",
     blocking_share="share of the speed of the flow below which a car blocks without an alert",
     conflict_s="time below which a crossing is a conflict",
@@ -288,6 +324,17 @@ BUDGET = record(
     most_m="upper bound of both limits",
     hold_s="an alert clears after levels have kept the limits so long",
 )
+LANE_SENSOR = record(
+    offset_sigma_m="noise of the offset",
+    offset_bias_sigma_m="error of the offset that stays, 1 sigma",
+    heading_sigma_rad="noise of the heading",
+    heading_bias_sigma_rad="error of the heading that stays, 1 sigma",
+    leave="probability that a dropout begins in a simulation step",
+    back="probability that it ends in a simulation step",
+    gyro_bound_radps="bound of the turn rate's error during a dropout",
+    bound_sigmas="standard deviations that bound an error",
+    switch_m="by which another road must fit better to be believed",
+)
 RULES = record(
     step_s="simulation step",
     epoch_s="navigation epoch",
@@ -303,7 +350,7 @@ RULES = record(
     al_ct_m="alert limit across the track; with a budget before the first decision",
     budgets=("i8", "1 where the alert limits are those of the moment"),
     budget=(BUDGET, "figures of these limits"),
-    permits=("i8", "1 where the speed permitted under an alert follows from the level"),
+    permits=("i8", "BY_LEVEL or BY_ROADS where the speed permitted under an alert follows from these, else 0"),
     actuated=("i8", "1 with limits of steering and a brake that holds"),
     pursues=("i8", "1 where meta-actions steer by pure pursuit"),
     lateral_mps2="largest lateral acceleration that steering asks for, negative for none",
@@ -326,6 +373,8 @@ RULES = record(
     pl_most_m="protection levels are shown up to here",
     shown=("i8", "what is shown of integrity: FULL, BLIND, or ORACLE, by which the truth is shown"),
     sees_truth=("i8", "1 where the ego perceives the traffic as it is"),
+    camera=("i8", "1 with a lane sensor"),
+    lane_sensor=(LANE_SENSOR, "its figures, 0 without one"),
     rewards=(REWARD_WEIGHTS, "weights of the terms"),
     costs=(COST_FIGURES, "weights and figures of the costs"),
 )

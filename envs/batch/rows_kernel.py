@@ -11,17 +11,18 @@ import numpy as np
 from lanebound.envs.batch.belief_kernel import begin, coast, locate, settle, take, take_given, trust_anew
 from lanebound.envs.batch.budget_kernel import budget_limits, permitted_mps
 from lanebound.envs.batch.closure_kernel import place_closure, receive
-from lanebound.envs.batch.costs_kernel import begin_corridor, follow_corridor
+from lanebound.envs.batch.costs_kernel import TOLERANCE_MPS, begin_corridor, follow_corridor
+from lanebound.envs.batch.lane_sensor_kernel import body_of, look_at_lane, match, open_eye
 from lanebound.envs.batch.motion_kernel import advance, fill_motion, fill_whereabouts, follow_motion
 from lanebound.envs.batch.perception_kernel import claim, hear, look, see_truth, sum_up
-from lanebound.envs.batch.records_kernel import GIVEN
+from lanebound.envs.batch.records_kernel import BY_LEVEL, BY_ROADS, GIVEN
 from lanebound.envs.batch.score_kernel import count_epoch, score
 from lanebound.envs.batch.sky_ahead_kernel import fill_sky, predict
 from lanebound.envs.batch.view_kernel import ORACLE, derive, fill_frame, true_view, words_of
 from lanebound.integrity.core.accel import jit
 
 __all__ = ["approach_step", "begin_rows", "carry_on", "carry_rows", "claim_rows", "conclude_rows", "count_rows",
-           "end_epoch", "give_rows", "hear_rows", "look_rows", "receive_rows", "sky_rows", "sum_up_rows",
+           "end_epoch", "give_rows", "hear_rows", "look_rows", "open_rows", "receive_rows", "sky_rows", "sum_up_rows",
            "take_rows"]  # fmt: skip
 
 
@@ -34,11 +35,18 @@ def carry_on(ego, cars, motions, lanes, rules, ends_epoch):  # type: ignore[no-u
 
     cars (v,) and motions (M,): of its environment.
     """
+    sees = rules.camera != 0
+    if sees:
+        look_at_lane(ego, cars[0], lanes, rules)
     if rules.source == GIVEN:
+        if sees:  # the heading of the position that is given, whose change is the turn rate
+            ego.belief.heading_rad = ego.camera.fix_heading_rad
         take_given(ego.belief, ego.track, cars[0], lanes, rules.step_s, rules)
     elif not ends_epoch:
         coast(ego.track, rules.step_s)
         settle(ego.track, ego.belief, lanes, rules.step_s, rules)
+    if sees and (rules.source == GIVEN or not ends_epoch):
+        match(ego, lanes, rules)
     if motions.shape[0] > 0 and not ends_epoch:  # else end_epoch follows them
         follow_motion(cars, motions)
 
@@ -75,10 +83,28 @@ def sky_rows(first, last, rows, hours, hour, clock, sky):  # type: ignore[no-unt
 
 
 @jit(borrows=True)
+def open_rows(first, last, rows, cars, egos, states, lanes, rules):  # type: ignore[no-untyped-def]
+    """Start the lane sensors of egos with generators, states (n, 4)."""
+    for n in range(first, last):
+        e = rows[n]
+        open_eye(egos[e], cars[e, 0], states[n], lanes, rules[0])
+
+
+@jit(borrows=True)
+def _match_first(ego, lanes, rules):  # type: ignore[no-untyped-def]
+    """The first belief of an ego with a lane sensor."""
+    ego.camera.turned_rad = ego.belief.heading_rad
+    ego.eye.speed_mps = ego.belief.speed_mps
+    match(ego, lanes, rules)
+
+
+@jit(borrows=True)
 def give_rows(first, last, rows, cars, egos, lanes, rules):  # type: ignore[no-untyped-def]
     """Start egos whose positions are given."""
     for e in rows[first:last]:
         take_given(egos[e].belief, egos[e].track, cars[e, 0], lanes, 0.0, rules[0])
+        if rules[0].camera != 0:
+            _match_first(egos[e], lanes, rules[0])
 
 
 @jit(borrows=True)
@@ -88,6 +114,8 @@ def begin_rows(first, last, rows, at, fixes, shift, egos, lanes, rules):  # type
         ego = egos[rows[n]]
         begin(ego.track, ego.belief, fixes[at[n]], shift[n, 0], shift[n, 1])
         settle(ego.track, ego.belief, lanes, 0.0, rules[0])
+        if rules[0].camera != 0:
+            _match_first(ego, lanes, rules[0])
 
 
 @jit(borrows=True)
@@ -97,6 +125,8 @@ def take_rows(first, last, rows, at, fixes, egos, lanes, rules):  # type: ignore
         ego = egos[rows[n]]
         take(ego.track, ego.belief, fixes[at[n]], rules[0])
         settle(ego.track, ego.belief, lanes, rules[0].step_s, rules[0])
+        if rules[0].camera != 0:
+            match(ego, lanes, rules[0])
 
 
 @jit(borrows=True)
@@ -197,10 +227,13 @@ def _score(ego, cars, picture, seen, path_of, lanes, routes, rules, start):  # t
     b = ego.belief
     locate(b, lanes, path_of, rules)
     place_closure(ego.closure, b, lanes)
+    body = body_of(ego, rules)
+    if rules.camera != 0 and rules.meta == 0:
+        body.target_lane, body.target_speed_mps = body.lane, b.speed_mps
     if start:
-        begin_corridor(ego.score, b, lanes)
+        begin_corridor(ego.score, body, lanes)
     else:
-        follow_corridor(ego.score, b, cars[0], lanes, rules, rules.policy_s)
+        follow_corridor(ego.score, body, cars[0], lanes, rules, rules.policy_s)
     if rules.sees_truth != 0:
         picture.seen = see_truth(cars, b.x_m, b.y_m, False, seen)
     if rules.budgets != 0:
@@ -208,9 +241,12 @@ def _score(ego, cars, picture, seen, path_of, lanes, routes, rules, start):  # t
             b, b.speed_mps, ego.score, cars[0], seen, picture.seen, lanes, routes, rules
         )
         trust_anew(b, ego.track, rules)
-    score(b, ego.score, cars, seen, picture.seen, lanes, ego.facts, ego.closure, rules, start, ego.outcome)
-    if rules.permits != 0:  # after the score: a step is judged by the speed that was shown before it
+    score(b, body, ego.score, cars, seen, picture.seen, lanes, ego.facts, ego.closure, rules, start, ego.outcome)
+    if rules.permits == BY_LEVEL:  # after the score: a step is judged by the speed that was shown before it
         b.permitted_mps = permitted_mps(b, ego.score, cars[0], seen, picture.seen, lanes, routes, rules)
+    elif rules.permits == BY_ROADS:
+        limit = lanes.table[b.lane].speed_limit_mps
+        b.permitted_mps = (b.possible_mps if b.alert != 0 else limit) + TOLERANCE_MPS
     ego.shown = b
     if rules.shown == ORACLE:
         true_view(cars[0], lanes, path_of, rules, ego.shown)

@@ -5,10 +5,22 @@ from __future__ import annotations
 from math import inf
 from typing import Any
 
+import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 
 from lanebound.envs.alert_limits import AlertLimit
-from lanebound.envs.batch.records_kernel import BUDGET, COST_FIGURES, GIVEN, REWARD_WEIGHTS, RULES, SENSED, TERMS
+from lanebound.envs.batch.records_kernel import (
+    BUDGET,
+    BY_LEVEL,
+    BY_ROADS,
+    COST_FIGURES,
+    GIVEN,
+    LANE_SENSOR,
+    REWARD_WEIGHTS,
+    RULES,
+    SENSED,
+    TERMS,
+)
 from lanebound.envs.batch.view_kernel import BLIND, FULL, ORACLE
 from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.costs import AlertSpeed
@@ -43,7 +55,7 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
         al_ct_m=limits_m[1],
         budgets=config.alert_limit is AlertLimit.BUDGET,
         budget=one_record(BUDGET, **{name: getattr(config.budget, name) for name in BUDGET.names or ()}),
-        permits=config.cost.alert_speed is AlertSpeed.LEVEL,
+        permits={AlertSpeed.SHARE: 0, AlertSpeed.LEVEL: BY_LEVEL, AlertSpeed.ROADS: BY_ROADS}[config.cost.alert_speed],
         actuated=a is not None,
         pursues=a is not None and a.steering_rate_radps is not None,
         lateral_mps2=_or_none(a.lateral_acceleration_mps2 if a else None),
@@ -66,6 +78,8 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
         pl_most_m=config.observation.pl_max_m,
         shown=SHOWN[config.observation.integrity],
         sees_truth=config.perception.source == "truth",
+        camera=config.lane_sensor is not None,
+        lane_sensor=_of_camera(config, step_s),
         rewards=one_record(REWARD_WEIGHTS, **{name: getattr(config.reward, name) for name in TERMS}),
         costs=cost_figures(config.cost),
     )
@@ -74,6 +88,12 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
 def cost_figures(config: Any) -> Records:
     """Weights and figures of the costs, (1,) COST_FIGURES: the fields of ``CostConfig``."""
     return one_record(COST_FIGURES, **{name: getattr(config, name) for name in COST_FIGURES.names or ()})
+
+
+def _of_camera(config: EnvConfig, step_s: float) -> Records:
+    """Figures of the lane sensor, (1,) LANE_SENSOR; zeros without one."""
+    sensor = config.lane_sensor
+    return np.zeros(1, LANE_SENSOR) if sensor is None else one_record(LANE_SENSOR, **sensor.figures(step_s))
 
 
 def _or_none(limit: float | None) -> float:

@@ -18,6 +18,7 @@ import math
 
 from lanebound.envs.batch.closure_kernel import closed_ahead
 from lanebound.envs.batch.costs_kernel import price
+from lanebound.envs.batch.lane_sensor_kernel import is_off_road
 from lanebound.envs.batch.lanes_kernel import CIRCLE, STRAIGHT, advised, ends, local, straight, width_at
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import ROUNDING_M, remainder, wrap
@@ -38,8 +39,8 @@ def _flag(condition):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def _errors(b, car):  # type: ignore[no-untyped-def]
-    """Estimate less truth along and across the true heading, forward and right positive."""
-    dx, dy, cosine, sine = b.x_m - car.x, b.y_m - car.y, math.cos(car.heading), math.sin(car.heading)
+    """The navigator's position less truth along and across the true heading, forward and right positive."""
+    dx, dy, cosine, sine = b.fix_x_m - car.x, b.fix_y_m - car.y, math.cos(car.heading), math.sin(car.heading)
     return cosine * dx + sine * dy, cosine * dy - sine * dx
 
 
@@ -95,11 +96,11 @@ def _allowed_mps(cars, lanes, limit):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def score(b, sc, cars, seen, count, lanes, facts, closure, rules, start, out):  # type: ignore[no-untyped-def]
+def score(b, body, sc, cars, seen, count, lanes, facts, closure, rules, start, out):  # type: ignore[no-untyped-def]
     """The verdict on a step, or at a start, where no time has passed: fills ``out`` and remembers in ``sc``.
 
-    ``seen``, ``count``: the vehicles that the ego perceives; ``facts``: ends and reward of the wrapped world;
-    ``closure``: of a lane. The corridor is up to date.
+    ``body``: the belief, or the pose of a lane sensor; ``seen``, ``count``: the vehicles that the ego perceives;
+    ``facts``: ends and reward of the wrapped world; ``closure``: of a lane. The corridor is up to date.
     """
     policy, speed = rules.policy_s, cars[0].speed
     dt = 0.0 if start else policy
@@ -122,8 +123,8 @@ def score(b, sc, cars, seen, count, lanes, facts, closure, rules, start, out):  
         sc.against_s = sc.against_s + policy if backwards else 0.0
     out.yaw_rate_radps = remainder(cars[0].heading - sc.heading_rad) / policy
     sc.heading_rad = cars[0].heading
-    _judge(b, sc, cars[0], facts, against, limit, rules, out)
-    price(b, sc, cars, seen, count, lanes, rules, dt, along, flow, out)
+    _judge(b, sc, cars[0], facts, against, limit, lanes, rules, out)
+    price(b, body, sc, cars, seen, count, lanes, rules, dt, along, flow, out)
     rough = math.hypot((speed - sc.speed_mps) / policy, speed * out.yaw_rate_radps) / COMFORT_MPS2
     sc.speed_mps = speed
     progress, w = min(max(along / limit, -1.0), 1.0) * dt, rules.rewards
@@ -137,8 +138,18 @@ def score(b, sc, cars, seen, count, lanes, facts, closure, rules, start, out):  
     _repeat(b, speed, rules, out)
 
 
+@jit(borrows=True)
+def _is_elsewhere(lanes, road, car):  # type: ignore[no-untyped-def]
+    """Whether the true car is on another road than ``road``, not one that follows or leads there, and beside it."""
+    own = lanes.table[car.lane].road
+    for k in range(lanes.table[road].joint_first, lanes.table[road].joint_last):
+        if lanes.joints[k].road == own:
+            return False
+    return own != road and is_off_road(lanes, road, car.x, car.y)
+
+
 @jit(inline=True)
-def _judge(b, sc, car, facts, against, limit, rules, out):  # type: ignore[no-untyped-def]
+def _judge(b, sc, car, facts, against, limit, lanes, rules, out):  # type: ignore[no-untyped-def]
     """What truth says of the step."""
     crashed, on_road = car.crashed != 0, facts.on_road != 0
     over = facts.terminated != 0 or facts.truncated != 0
@@ -157,7 +168,11 @@ def _judge(b, sc, car, facts, against, limit, rules, out):  # type: ignore[no-un
     sc.epochs = sc.mi = sc.hmi = 0
     out.crashed, out.off_road, out.wrong_way = _flag(sc.crashed != 0), _flag(off_road), _flag(wrong_way)
     out.is_success = _flag(good and not late and sc.progress_m >= rules.success_share * sc.allowed_m)
-    out.terminated = _flag(facts.terminated != 0 or sc.crashed != 0 or off_road or wrong_way)
+    lost = lanes.table[car.lane].lost != 0
+    out.lost, out.lost_now = _flag(lost), _flag(lost and sc.lost == 0)
+    sc.lost = 1 if lost or sc.lost != 0 else 0
+    out.wrong_road = _flag(rules.camera != 0 and _is_elsewhere(lanes, lanes.table[b.lane].road, car))
+    out.terminated = _flag(facts.terminated != 0 or sc.crashed != 0 or off_road or wrong_way or lost)
     out.truncated = _flag(facts.truncated != 0)
 
 

@@ -116,6 +116,10 @@ def true_view(car, lanes, path_of, rules, view):  # type: ignore[no-untyped-def]
     view.lane, view.path, view.longitudinal_m, view.lateral_m = n, path_of[n], s, r
     view.angle_rad, view.lane_width_m = wrap(car.heading - direction), width_at(lanes, n, s)
     view.pl_at_m = view.pl_ct_m = 0.0
+    limit = lanes.table[n].speed_limit_mps
+    view.fix_x_m, view.fix_y_m, view.road_offset_m = car.x, car.y, 0.0
+    view.possible_mps, view.other_road_m, view.other_limit_mps = limit if limit > 0.0 else math.inf, math.inf, math.inf
+    view.lane_seen, view.roads_agree, view.route_shift = 1, 1, lanes.table[n].goal_shift
     if rules.meta == 0:
         view.target_lane, view.target_speed_mps = n, car.speed
 

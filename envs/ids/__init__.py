@@ -1,5 +1,6 @@
 """The environments: a class for each id, what it presets, and the registry of ids."""
 
+from lanebound.envs.ids.guidance import Guidance
 from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, Roundabout
 from lanebound.envs.ids.preset import CONTINUOUS, META, Preset, has_engine, id_of, refuse_misplaced
 from lanebound.envs.ids.priced import PRICED, PRICES
@@ -7,8 +8,10 @@ from lanebound.envs.ids.registry import (
     CLASSES,
     IDS,
     MORE,
-    PRICED_IDS,
+    MORE_IDS,
     enter,
+    every_id,
+    every_preset,
     preset_of,
     presets,
     register_id,
@@ -23,10 +26,11 @@ __all__ = [
     "IDS",
     "META",
     "MORE",
+    "MORE_IDS",
     "PRICED",
-    "PRICED_IDS",
     "PRICES",
     "CarFollowing",
+    "Guidance",
     "Highway",
     "Intersection",
     "LaneKeeping",
@@ -37,6 +41,8 @@ __all__ = [
     "UrbanCanyon",
     "WorkZone",
     "enter",
+    "every_id",
+    "every_preset",
     "has_engine",
     "id_of",
     "preset_of",

@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium
 
 from lanebound.envs.config import EnvConfig
+from lanebound.envs.ids.guidance import Guidance
 from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, Roundabout
 from lanebound.envs.ids.preset import Preset, has_engine, id_of
 from lanebound.envs.ids.priced import PRICED
@@ -16,7 +17,19 @@ from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import require_registered
 
-__all__ = ["CLASSES", "IDS", "MORE", "PRICED_IDS", "enter", "preset_of", "presets", "register_id", "withdraw_id"]
+__all__ = [
+    "CLASSES",
+    "IDS",
+    "MORE",
+    "MORE_IDS",
+    "enter",
+    "every_id",
+    "every_preset",
+    "preset_of",
+    "presets",
+    "register_id",
+    "withdraw_id",
+]
 
 CLASSES: tuple[type[Preset], ...] = (
     LaneKeeping,
@@ -28,13 +41,13 @@ CLASSES: tuple[type[Preset], ...] = (
     Racetrack,
     UrbanCanyon,
 )
-MORE: tuple[type[Preset], ...] = (*PRICED, WorkZone)
+MORE: tuple[type[Preset], ...] = (*PRICED, WorkZone, Guidance)
 """Classes of ids of ours that suites, pages of results and shipped policies do not drive."""
 
 IDS: dict[str, dict[str, Any]] = {}
 """The presets of all ids that are registered."""
-PRICED_IDS: dict[str, dict[str, Any]] = {}
-"""The presets of ``MORE``: ids in which to stop has a price."""
+MORE_IDS: dict[str, dict[str, Any]] = {}
+"""The presets of ``MORE``."""
 _registered: list[type[Preset]] = []
 
 
@@ -43,9 +56,19 @@ def presets() -> tuple[type[Preset], ...]:
     return (*CLASSES, *_registered)
 
 
+def every_preset() -> tuple[type[Preset], ...]:
+    """The classes of all ids, and of those that no sweep drives."""
+    return (*presets(), *MORE)
+
+
+def every_id() -> dict[str, dict[str, Any]]:
+    """The presets of all these."""
+    return IDS | MORE_IDS
+
+
 def preset_of(env_id: str) -> type[Preset] | None:
     """The class of an id of ours; None for another id, such as one of highway-env."""
-    return next((kind for kind in (*presets(), *MORE) if id_of(kind) == env_id), None)
+    return next((kind for kind in every_preset() if id_of(kind) == env_id), None)
 
 
 def register_id(kind: type[Preset]) -> str:
@@ -58,7 +81,7 @@ def register_id(kind: type[Preset]) -> str:
     ConfigError
         The preset names no known world, or has another mistake.
     """
-    if id_of(kind) in IDS or id_of(kind) in PRICED_IDS:
+    if id_of(kind) in every_id():
         raise InputError(f"id must not be taken, got {id_of(kind)}: set ID in the class")
     world_defaults(EnvConfig.build(kind.PRESET).base)
     _registered.append(kind)
@@ -81,7 +104,7 @@ def withdraw_id(name: str) -> None:
 
 def enter(kind: type[Preset]) -> None:
     """Register an id with Gymnasium; doing so twice changes nothing."""
-    (PRICED_IDS if kind in MORE else IDS)[id_of(kind)] = dict(kind.PRESET)
+    (MORE_IDS if kind in MORE else IDS)[id_of(kind)] = dict(kind.PRESET)
     if id_of(kind) not in gymnasium.registry:
         engine = f"lanebound.envs.vector.env:Vector{kind.__name__}" if has_engine(kind) else None
         entry = f"{kind.__module__}:{kind.__qualname__}" if kind in (*CLASSES, *MORE) else kind

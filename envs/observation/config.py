@@ -49,6 +49,10 @@ class ObservationConfig(Config):
     closure: bool = Field(
         False, description="a lane that closes has entries, once its message has arrived; for WorkZoneWorld"
     )
+    roads: bool = Field(
+        False,
+        description="the roads nearby and the way to the goal have entries; an environment sets it for lane_sensor",
+    )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
         (5.0, 10.0, 20.0, 40.0, 80.0), description="distances ahead at which the route's centreline is given; chosen"
@@ -63,6 +67,7 @@ class ObservationConfig(Config):
     lane_width_max_m: float = Field(6.0, gt=0, description="scale of lane widths; chosen")
     curvature_max_per_m: float = Field(0.1, gt=0, description="scale of curvatures; a turn of 10 m radius, chosen")
     range_m: float = Field(150.0, gt=0, description="scale of distances to vehicles and along the lane; chosen")
+    other_road_max_m: float = Field(50.0, gt=0, description="scale of distances to other roads; chosen")
     pl_max_m: float = Field(
         10.0,
         gt=0,

@@ -190,6 +190,10 @@ def _levels(c: ObservationConfig) -> list[Entry]:
                       "belief.sdop")] if c.speed_geometry else []),
         *([g.positive("permitted_speed", "m/s", c.speed_max_mps, "speed permitted, by the levels under an alert; 1 "
                       "if the map has no limit", "view.permitted_mps")] if c.permitted_speed else []),
+        *([g.positive("possible_limit", "m/s", c.speed_max_mps, "least speed limit of the roads that the levels leave "
+                      "possible", "belief.possible_mps"),
+           g.flag("roads_agree", "these roads ask for the same change of lanes", "belief.roads_agree")]
+          if c.roads else []),
         *(_context(g) if c.context else ()),
         *(_filters(c, g) if c.filters else ()),
     ]  # fmt: skip
@@ -235,6 +239,15 @@ def _road(c: ObservationConfig) -> list[Entry]:
         g.positive("lane_end", "m", c.range_m,
                    "distance to the end of the lane without a continuation; 1 beyond the range",
                    "view.lane_end_m"),
+        *([g.flag("lane_seen", "the lane sensor sees the markings", "belief.lane_seen"),
+           g.signed("route_shift", "", 4.0, "lanes to change to the right for the goal, negative to the left",
+                    "belief.route_shift"),
+           g.signed("offset", "m", c.other_road_max_m, "position of the navigator to the right of where the camera has "
+                    "the car in the lane of the believed road", "belief.road_offset_m"),
+           g.positive("other_road", "m", c.other_road_max_m, "from that position to the nearest other road beside it; "
+                      "1 without one", "belief.other_road_m"),
+           g.positive("other_limit", "m/s", c.speed_max_mps, "speed limit of that road; 1 without one",
+                      "belief.other_limit_mps")] if c.roads else []),
     ]  # fmt: skip
     out += _closure(c, g) if c.closure else []
     for n, d in enumerate(c.preview_m):

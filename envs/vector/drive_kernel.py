@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.ego_kernel import decide, follow_road
+from lanebound.envs.batch.lane_sensor_kernel import body_of
 from lanebound.envs.batch.lanes_kernel import Lanes
 from lanebound.envs.batch.next_lane_kernel import keep_to_route
 from lanebound.envs.batch.records_kernel import GIVEN
@@ -75,11 +76,11 @@ def run_course(first, last, rows, frames, ends, codes, cars, drivers, egos, moti
 
 
 @jit(inline=True)
-def _begin(e, codes, cars, drivers, ego, lanes, traffic, numbers, wholes):  # type: ignore[no-untyped-def]
+def _begin(e, codes, cars, drivers, ego, lanes, rules, traffic, numbers, wholes):  # type: ignore[no-untyped-def]
     """The vehicles of environment e as they begin to drive, with its meta-action taken up."""
     if codes.size > 0:
-        follow_road(ego, lanes, traffic.roads.routes)
-        decide(ego.belief, codes[e], lanes, traffic.speeds)
+        follow_road(ego, lanes, traffic.roads.routes, rules)
+        decide(body_of(ego, rules), codes[e], lanes, traffic.speeds)
     v = vehicles_in(numbers, wholes, cars.shape[0] + traffic.roads.objects.shape[1])
     load(cars, drivers, v)
     place_objects(v, cars.shape[0], traffic.roads.objects[e])
@@ -108,7 +109,7 @@ def _course(e, frames, ends, codes, cars, drivers, egos, motions, rules, traffic
     """:func:`run_course` for environment e; ``scratch``: for :func:`vehicles_in`."""
     ego, world, lanes, dt = egos[e], traffic.world[0], traffic.lanes, rules.step_s
     here = cars[e, : ego.vehicles]
-    v = _begin(e, codes, here, drivers[e], ego, lanes, traffic, scratch[0], scratch[1])
+    v = _begin(e, codes, here, drivers[e], ego, lanes, rules, traffic, scratch[0], scratch[1])
     for frame in range(frames):
         steering, acceleration, hold = command_ego(ego, v, lanes, traffic.roads.routes, rules)
         move_ego(v, steering, acceleration, hold, world, lanes, dt)
@@ -130,7 +131,7 @@ def run_motorway(first, last, rows, frames, ends, codes, cars, drivers, egos, mo
     scratch = newest, held, pairs, np.empty(vehicles), np.empty((5, vehicles))
     for e in rows[first:last]:
         here = cars[e, : egos[e].vehicles]
-        v = _begin(e, codes, here, drivers[e], egos[e], lanes, traffic, numbers, wholes)
+        v = _begin(e, codes, here, drivers[e], egos[e], lanes, rules[0], traffic, numbers, wholes)
         _motorway(frames, v, here, drivers[e], egos[e], motions[e], lanes, rules[0], traffic, scratch)
         _end(v, here, drivers[e], egos[e], lanes, rules[0], traffic.world[0], ends)
 
@@ -169,7 +170,7 @@ def run_network(first, last, rows, frames, ends, codes, cars, drivers, egos, mot
     stations, order = np.empty((places, lanes.table.shape[0])), np.empty(places, np.int64)
     for e in rows[first:last]:
         here = cars[e, : egos[e].vehicles]
-        v = _begin(e, codes, here, drivers[e], egos[e], lanes, traffic, numbers, wholes)
+        v = _begin(e, codes, here, drivers[e], egos[e], lanes, rules[0], traffic, numbers, wholes)
         _network(frames, v, here, drivers[e], egos[e], motions[e], lanes, rules[0], traffic, stations, order)
         _end(v, here, drivers[e], egos[e], lanes, rules[0], traffic.world[0], ends)
         fill_onward(here, drivers[e], egos[e], lanes, traffic.roads.routes)

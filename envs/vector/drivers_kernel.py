@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.batch.ego_kernel import actuate, follow_road, intend, steering_rad
+from lanebound.envs.batch.lane_sensor_kernel import body_of
 from lanebound.envs.batch.lanes_kernel import NONE, nearest
 from lanebound.envs.batch.next_lane_kernel import beyond, route_onward
 from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M, WANDER_SHAPES, WANDER_SLOPE
@@ -197,16 +198,16 @@ def command_ego(ego, v, lanes, routes, rules):  # type: ignore[no-untyped-def]
 
     A car that is commanded directly has no intent: the lane it wants is its own, the speed it wants 0.
     """
-    b, command, length = ego.belief, ego.command, v.length[0]
+    b, command, length = body_of(ego, rules), ego.command, v.length[0]
     if rules.meta != 0:
-        follow_road(ego, lanes, routes)
+        follow_road(ego, lanes, routes, rules)
         onward = beyond(lanes, routes, ego.route, b.target_lane) if rules.pursues != 0 else NONE
         steering, acceleration = intend(b, lanes, onward, rules, length)
         v.target[0], v.target_speed[0] = b.target_lane, b.target_speed_mps
     else:
         steering, acceleration = command.steering_rad, command.acceleration_mps2
         v.target[0], v.target_speed[0] = v.lane[0], 0.0
-    steering, hold = actuate(b, command, steering, acceleration, length, rules)
+    steering, hold = actuate(ego.belief, command, steering, acceleration, length, rules)
     return steering, acceleration, hold
 
 

@@ -282,7 +282,8 @@ class Engine:
         speeds, speed = self.speeds, episodes.cars["speed"][rows, 0]
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
         nearest = np.minimum(np.maximum(np.rint(share * (speeds.size - 1)), 0), speeds.size - 1).astype(np.int64)
-        episodes.ego["belief"]["target_speed_mps"][rows] = speeds[nearest]
+        for name in ("belief", "eye"):
+            episodes.ego[name]["target_speed_mps"][rows] = speeds[nearest]
         keep_rows(rows, episodes.ego, episodes.table.lanes, self.plans.steps, episodes.rules)
         e = episodes
         judge_rows(0, rows.size, rows, e.cars, stage.drivers, e.ego, e.table.lanes, e.rules, self.world, True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.infos import StepResult, form_of, infos_of, results
 from lanebound.envs.core import OPTIONS, DrivingEnv, faults_in
-from lanebound.envs.ids import MORE, Preset, has_engine, id_of, presets, refuse_misplaced
+from lanebound.envs.ids import Preset, every_preset, has_engine, id_of, presets, refuse_misplaced
 from lanebound.envs.registration import wrap
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.processes import EngineProcesses, require_processes
@@ -303,7 +303,7 @@ def engines() -> dict[str, type[VectorDrivingEnv]]:
 
 def __getattr__(name: str) -> type[VectorDrivingEnv]:
     """``VectorHighway`` and so on: the vector environment of the class of ids of that name."""
-    for kind in (*presets(), *MORE):
+    for kind in every_preset():
         if name == f"Vector{kind.__name__}" and has_engine(kind):
             return engine_class(kind)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,6 +1,7 @@
 """Worlds of lanebound, plain scenarios of highway-env without navigation, and the declarations of all worlds."""
 
 from lanebound.envs.worlds.goals import has_crossed, has_left_roundabout, has_merged
+from lanebound.envs.worlds.guidance import GuidanceWorld, has_taken_exit
 from lanebound.envs.worlds.highway import motorway_support
 from lanebound.envs.worlds.intersection import intersection_support
 from lanebound.envs.worlds.junctions import merge_support, racetrack_support, roundabout_support
@@ -18,6 +19,7 @@ from lanebound.envs.worlds.work_zone import WorkZoneWorld
 
 __all__ = [
     "CarFollowingWorld",
+    "GuidanceWorld",
     "LaneKeepingWorld",
     "Support",
     "UrbanCanyonWorld",
@@ -34,6 +36,7 @@ for _kind in (
     WorldKind("CarFollowingWorld", CarFollowingWorld, CarFollowingWorld.support),
     WorldKind("UrbanCanyonWorld", UrbanCanyonWorld, UrbanCanyonWorld.support),
     WorldKind("WorkZoneWorld", WorkZoneWorld, WorkZoneWorld.support),
+    WorldKind("GuidanceWorld", GuidanceWorld, GuidanceWorld.support, arrived=has_taken_exit),
     WorldKind("highway-v0", None, motorway_support),
     WorldKind("highway-fast-v0", None, motorway_support),
     WorldKind("exit-v0", None, exit_support),

@@ -60,10 +60,15 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
 
     The result is that of ``RoadNetwork``, including ties: a road is skipped only if the bounding box of its lanes is
     farther than the best lane found, and the distance to a lane is at least that to its box.
+
+    Attributes
+    ----------
+    goal : the road to which the ego is to drive, None for none
     """
 
-    def __init__(self) -> None:
+    def __init__(self, goal: tuple[str, str] | None = None) -> None:
         super().__init__()
+        self.goal = goal
         self._boxes: list[Box] = []
 
     def add_lane(self, _from: str, _to: str, lane: CurveLane) -> None:
@@ -79,6 +84,15 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
             left = LineType.CONTINUOUS_LINE if k == 0 else LineType.STRIPED
             right = LineType.CONTINUOUS_LINE if k == lanes - 1 else LineType.NONE
             self.add_lane(*edge, CurveLane(path, (k - 0.5 * (lanes - 1)) * width_m, width_m, (left, right)))
+
+    def add_beside(
+        self, edge: tuple[str, str], path: Path, lanes: range, width_m: float, speed_limit: float
+    ) -> None:  # fmt: skip
+        """Add lanes beside a path, which is the middle of lane 0: lane k lies ``k width_m`` to its right."""
+        for k in lanes:
+            left = LineType.CONTINUOUS_LINE if k == lanes[0] else LineType.STRIPED
+            right = LineType.CONTINUOUS_LINE if k == lanes[-1] else LineType.NONE
+            self.add_lane(*edge, CurveLane(path, k * width_m, width_m, (left, right), speed_limit))
 
     def _box_up(self) -> None:
         """Compute bounding boxes of the centre lines of each road; a margin of 1 m covers the error of sampling."""

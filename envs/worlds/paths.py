@@ -19,7 +19,7 @@ from lanebound.envs.batch.lanes_kernel import SQUARE_M
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import wrap_angle
 
-__all__ = ["Foot", "Path", "Piece", "Pose", "bend", "rounded_polygon", "straight"]
+__all__ = ["Foot", "Path", "Piece", "Pose", "bend", "rounded_polygon", "s_bend", "straight"]
 
 CLOTHOID_CELL_M = 1.0  # 3-point Gauss over it is exact to 1e-11 m in all of a corner
 MARGIN_M = 40.0
@@ -72,6 +72,21 @@ def bend(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:
     arc = abs(angle_rad) * radius_m - transition
     pieces = [Piece(transition, 0.0, kappa), Piece(arc, kappa, kappa), Piece(transition, kappa, 0.0)]
     return [piece for piece in pieces if piece.length > 1e-9]
+
+
+def s_bend(shift_m: float, radius_m: float, transition_m: float) -> list[Piece]:
+    """A bend to the right and one back to the first direction, ``shift_m`` > 0 beside it; the angle by bisection."""
+    if not 0.0 < shift_m < radius_m:
+        raise InputError(f"an s_bend needs a shift_m within radius_m = {radius_m}, got {shift_m}: widen the radius")
+    low, high, pieces = 0.0, 1.2, list[Piece]()
+    for _ in range(60):
+        angle = 0.5 * (low + high)
+        pieces = bend(angle, radius_m, transition_m) + bend(-angle, radius_m, transition_m)
+        pose = Pose(0.0, 0.0, 0.0)
+        for piece in pieces:
+            pose = _advance_far(pose, piece)
+        low, high = (angle, high) if pose.y < shift_m else (low, angle)
+    return pieces
 
 
 def rounded_polygon(

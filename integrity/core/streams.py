@@ -26,7 +26,7 @@ __all__ = ["EVERY_PLACE", "STREAM_NAMES", "ZIGGURAT", "Streams", "named_generato
 STREAM_NAMES = (
     "traffic", "gnss", "clock", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene",
     "atmosphere", "station", "network", "broadcast", "wander", "sensor_bias", "augmentation",
-    "steering", "wheels", "compass", "barometer", "near_objects", "others",
+    "steering", "wheels", "compass", "barometer", "near_objects", "others", "lane_sensor",
 )  # fmt: skip
 """Names of all streams; the vehicles of an area share atmosphere, station, network, broadcast and augmentation."""
 ZIGGURAT: NDArray[np.float64] = np.load(str(resources.files("lanebound.integrity.core") / "ziggurat.npy"))

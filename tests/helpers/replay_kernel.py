@@ -31,7 +31,7 @@ def run_replay(first, last, rows, frames, ends, codes, cars, drivers, egos, moti
         here = cars[e, : ego.vehicles]
         v = vehicles_in(numbers, wholes, ego.vehicles)
         if codes.size > 0:
-            follow_road(ego, lanes, traffic.roads.routes)
+            follow_road(ego, lanes, traffic.roads.routes, rules[0])
             decide(ego.belief, codes[e], lanes, traffic.speeds)
         for frame in range(frames):
             load(here, drivers[e], v)

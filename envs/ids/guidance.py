@@ -1,0 +1,78 @@
+"""Ids in which metres of position decide, beside those in which a lane does.
+
+A camera keeps the car in its lane (``lane_sensor``); the position decides which road it is on. The sweeps over the ids
+do not drive them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from lanebound.envs.ids.preset import META, Preset
+from lanebound.envs.worlds.guidance import TARGET_SPEEDS_MPS
+
+__all__ = ["Guidance"]
+
+
+class Guidance(Preset):
+    """
+    ## Description
+    Find the way to an exit, on a motorway (two lanes, 27.8 m/s) or on the collector road beside it (two lanes, 13.9
+    m/s), whose nearest lanes are 18 m apart between their middles. The goal is an exit of the collector road, 1.4 km
+    ahead. From the motorway a slip road leads to the collector road; at the same place the collector road has an exit
+    that does not lead to the goal. A camera keeps the car in its lane ([lane sensor](#lane-sensor)), and does not know
+    on which road. The alert limits are 15 m along and across the track (S5: route guidance).
+
+    Difficulty: on the wrong road the map asks for the wrong lane and permits the wrong speed. A level of 5 to 20 m says
+    whether the other road is possible.
+
+    ## Action Space
+    `Discrete(5)` at 2 Hz, with the target speeds 0, 4.6, 9.3, 13.9, 18.5, 23.2 and 27.8 m/s. A change of lane is to the
+    lane beside the one that the camera sees.
+
+    ## Observation Space
+    As above, with the entries of a lane sensor: in `road` the change of lanes for the goal (`route_shift`), the
+    distance of the position from the believed road (`offset`) and to the nearest other road (`other_road`), and its
+    limit; in `integrity` the least speed limit of the roads that the levels leave possible (`possible_limit`), and
+    whether these ask for the same change (`roads_agree`).
+
+    ## Rewards
+    As above.
+
+    ## Costs
+    As above, and with a weight of 2 `cost_speeding`, of 20 `cost_route`, of 1 `cost_gore` and of 1 `cost_blocking`. An
+    alert permits the least limit of the roads that the levels leave possible. `cost_limit` is @COST_LIMIT@.
+
+    ## Starting State
+    On a random lane of either road, 20 to 180 m along it, at 13.9 m/s. Up to 6 other vehicles on both roads.
+
+    ## Episode End
+    Terminated at the goal, which a success requires, and on a road that does not lead there (`info["lost"]`). Truncated
+    after 150 s. A success requires 0.5 of the possible speed.
+
+    ## Arguments
+    `config["world"]`: `separation` (18 m), `lane_width` (3.5 m), `vehicles_count` (6), `duration` (150 s).
+    `config["navigator"]`: another [service](navigation.md#positioning-services), such as `services/spp`.
+
+    ## Version History
+    * v0: first version.
+    """
+
+    CORE_S = 0.05
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "GuidanceWorld",
+        **META,
+        "action_options": {"target_speeds": TARGET_SPEEDS_MPS},
+        "sky": "suburban",
+        "lane_sensor": {},
+        "navigator": "services/sbas_dfmc",
+        "perception": {"source": "sensor"},
+        "observation": {"pl_max_m": 30.0},
+        "al_at_m": 15.0,
+        "al_ct_m": 15.0,
+        "success_share": 0.5,
+        "success_behind_s": 30.0,
+        "cost": {"speeding": 2.0, "route": 20.0, "gore": 1.0, "blocking": 1.0, "alert_speed": "roads"},
+        "cost_limit": 20.0,
+    }
