@@ -65,6 +65,7 @@ class EgoBelief:
     fix_position_m : (2,) of the navigator on the map; a lane sensor puts it on a lane as ``position_m``
     road_offset_m, other_road_m, other_limit_mps, possible_mps, roads_agree, lane_seen, route_shift : as in BELIEF, with
         a lane sensor; of no meaning without one
+    closure, closure_side, closure_start_m, closure_end_m, closure_limit_mps : as in BELIEF, of a lane that closes
     """
 
     time_s: float
@@ -120,6 +121,11 @@ class EgoBelief:
     roads_agree: bool = True
     lane_seen: bool = True
     route_shift: int = 0
+    closure: bool = False
+    closure_side: int = 0
+    closure_start_m: float = np.inf
+    closure_end_m: float = np.inf
+    closure_limit_mps: float = np.inf
 
     @classmethod
     def of(cls, beliefs: Records, row: int, table: LaneTable) -> EgoBelief:
@@ -130,7 +136,7 @@ class EgoBelief:
         lane, target = table.index[values.pop("lane")], table.index[values.pop("target_lane")]
         flags = {
             name: bool(values.pop(name))
-            for name in ("alert", "available", "context_warning", "roads_agree", "lane_seen")
+            for name in ("alert", "available", "context_warning", "roads_agree", "lane_seen", "closure")
         }
         del values["path"]
         return cls(
