@@ -107,6 +107,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
     | `cost_context` | 0 | dt while the context monitor warns and the car changes lane or exceeds half the limit |
     | `cost_blocking` | 0 | `max(0, 1 - v cos(psi) / (0.7 v_flow)) dt`, at most dt: slower than others drive there |
+    | `cost_speeding` | 0 | `max(0, (v cos(psi) - 3 km/h) / v_limit - 1) dt`, at most dt, of the lane of the car |
+    | `cost_route` | 0 | 1 in the step in which the car comes onto a road that does not lead to the goal of the world |
+    | `cost_gore` | 0 | dt while the body is over a line of its lane within 50 m (`cost.gore_m`) of a fork |
 
     - `cost_headway` is also computed from the true gap and speeds without PL; the larger value counts.
     - `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with rho = 0.5 s, a
@@ -121,7 +124,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
       road counts, and `cost_lane_integrity` is 0.
     - An alert permits half the limit (`cost.alert_speed_share`), without lane changes. `cost.alert_speed: level`
       permits the largest speed v with `v PL <= 0.5 v_limit AL(v)` on both axes, from 0.25 (`cost.alert_speed_least`) to
-      0.5 of the limit. A step is judged by the speed that was observed before it (`integrity.permitted_speed`).
+      0.5 of the limit. `cost.alert_speed: roads` (with a [lane sensor](#lane-sensor)) permits the least limit of the
+      roads that the levels leave possible, and 3 km/h. A step is judged by the speed that was observed before it
+      (`integrity.permitted_speed`).
+    - With a [lane sensor](#lane-sensor) `cost_lane` is of the lane that the camera follows, and `cost_lane_integrity`
+      of offset and bound of the camera.
     - v_flow is the least of limit, fastest command, comfortable speed in a bend, speed of a vehicle less than 4 s
       ahead, and speed from which the car stops in comfort before its lane ends. Under an alert the permitted speed
       takes the place of `0.7 v_flow` if it is less. To stop is right, and `cost_blocking` 0, behind a vehicle that
@@ -134,7 +141,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
     - `cost_limits` adds limits of parts of that cost, each with the weights above, none by default and not enforced:
       `lane` (`cost_lane` and `cost_lane_integrity`), `headway`, `conflict`, `alert`, `hmi` and `blocking` (the cause of
-      that name).
+      that name), `guidance` (`cost_speeding`, `cost_route` and `cost_gore`).
 
     ## Info
     The same keys at reset and in each step. Known to the car:
@@ -166,7 +173,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `crashed_now`, `astray_now` | new in this step: a crash; off the road or against the traffic |
     | `is_success` | the episode ends well in this step |
     | `cost` and the causes above | weighted sum; unweighted causes |
-    | `costs` | the unweighted causes as one vector (10,), float64, in the order of `lanebound.envs.costs.CAUSES` |
+    | `lost`, `lost_now` | on a road that does not lead to the goal of the world; since this step |
+    | `wrong_road` | with a [lane sensor](#lane-sensor): the believed road is another one, beside the true car |
+    | `costs` | the unweighted causes as one vector (13,), float64, in the order of `lanebound.envs.costs.CAUSES` |
     | `rewards` | unweighted terms |
 
     Under `faults: one` also the fault of the episode, as numbers ([faults](#one-fault-in-each-episode)): `fault_kind`,
@@ -182,7 +191,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     ## Episode End
     Terminated when the true car has crashed, has its middle off the road or has driven against its lane for 1 s, at the
-    goal of a world that has one, and by the rules of the wrapped world. Truncated when the world's time is up. A single
+    goal of a world that has one, on a road that does not lead there (Guidance), and by the rules of the wrapped world.
+    Truncated when the world's time is up. A single
     environment accepts a `step` after the end; the vector engine resets by itself, or refuses
     (`AutoresetMode.DISABLED`).
 

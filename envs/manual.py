@@ -16,7 +16,8 @@ import gymnasium
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CLASSES, PRICED, Preset, WorkZone, id_of
+from lanebound.envs.ids import CLASSES, MORE, PRICED, Preset, id_of
+from lanebound.envs.lane_sensor import LaneSensorConfig
 from lanebound.envs.observation import GROUPS, OBSERVATION_INDEX
 from lanebound.envs.observation.index import Entry
 from lanebound.envs.registration import make_config
@@ -42,9 +43,10 @@ SECTIONS = (
 HEAD = """# Environments
 
 The page describes first what all environments share, then each id. In the section of an id, "as above" refers to [all
-environments](#all-environments), and missing headings are as above. Then follow [sky](#sky), [perception](#perception),
-[faults](#faults), [many environments at once](#many-environments-at-once), [other worlds](#other-worlds),
-[rendering](#rendering), [configuration keys](#configuration-keys) and the [observation index](#observation-index).
+environments](#all-environments), and missing headings are as above. Then follow [sky](#sky),
+[perception](#perception), [faults](#faults), [lane sensor](#lane-sensor), [many environments at
+once](#many-environments-at-once), [other worlds](#other-worlds), [rendering](#rendering), [configuration
+keys](#configuration-keys) and the [observation index](#observation-index).
 `python -m lanebound.envs.manual > docs/environments.md` makes it from docstrings and defaults.
 
 ```pycon
@@ -165,6 +167,34 @@ faults and more (with probability 1 - P0 - P1). The [benchmark](benchmark.md#one
 | `integers` | [] | errors of `wrong_fix` by satellite: `[system, prn, cycles of band 1, cycles of band 2]` |
 | `magnitude` | 0 | size of a kind of your own, in the unit of its `Magnitude`, if that names no other field |
 
+## Lane sensor
+
+With `lane_sensor: {}` a forward camera keeps the car in its lane, and the position says on which road and where it is
+(S2 section 2: cameras keep the lane, satellites choose the road). Without it (`null`, the default) the car keeps its
+lane by the position.
+
+- The camera measures offset and heading in the lane that the car is truly in, with noise and an error that is constant
+  in an episode. It sees the number of that lane from the left, the lanes beside it, and how the lane bends ahead. It
+  knows neither the road nor the place along it.
+- Steering follows the measured offset, whatever the position says. A change of lane is to the lane beside the one that
+  the camera sees. At a fork the lane decides: the car goes on along the lane that it follows.
+- During a dropout (a process of two states) the pose in the lane is carried on by the odometer and the turns of the
+  navigator, and its bound grows (`lane_sensor.gyro_bound_degps`).
+- The believed road is the one that fits the navigator's position and heading best on the lane of the camera's number;
+  the last one is kept unless another fits better by 2 m (`lane_sensor.switch_m`). The believed pose is on that lane,
+  with the camera's offset and heading, at the navigator's place along it. So a wrong road is believed where the error
+  across exceeds half the distance of lanes of the same number.
+- `err_at_m`, `err_ct_m`, `mi` and `hmi` are of the navigator's position, before it is put on a lane.
+- Levels and alert limits are of the position, and say nothing about the lane. `cost_lane_integrity` takes the bound of
+  the camera (`Qinv(risk / 2) sigma`). `alert_limit: budget` is refused.
+- A road is possible if the level across reaches its pavement from the navigator's position, on a stretch that the level
+  along reaches. `integrity.possible_limit` is the least limit of the possible roads, `integrity.roads_agree` whether
+  they ask for the same change of lanes for the goal.
+
+Entries in `road`: `lane_seen`, `route_shift`, `offset`, `other_road`, `other_limit`.
+
+@LANE_SENSOR@
+
 ## Alert limits
 
 `alert_limit: fixed` (default) has one limit for the whole id: 1.5 m along, `(lane width - car width) / 2` across. It
@@ -248,6 +278,8 @@ budget (`alert_limit: budget`), an alert permits the speed that follows from the
 that of `integrity_aware` without crashes over 40 training seeds, and 1 % of a crash, rounded up
 ([rule](results/cost-limits.md)). Other ids have no such variant, because a car that stands or crawls would keep such a
 limit too often ([degenerate policies](results/degenerate-policies.md#priced-ids)), or because that was not measured."""
+PAGED = (*CLASSES, *(kind for kind in MORE if kind not in PRICED))
+"""Ids with a page of their own."""
 PRICED_HEAD = ("id", "cost limit", "cost limit without prices", "more")
 
 
@@ -261,10 +293,18 @@ def _later(kind: type[Preset]) -> tuple[str, ...]:
 def markdown() -> str:
     """The whole page in Markdown."""
     parts = [HEAD, _contents(), "## All environments", _page(DrivingEnv)]
-    for kind in (*CLASSES, WorkZone):
+    for kind in PAGED:
         parts += [f"## {kind.__name__}", f'`gymnasium.make("{id_of(kind)}")`', _page(kind)]
     parts += ["## Priced ids", PRICED_TEXT, _table(PRICED_HEAD, map(_later, PRICED))]
-    return "\n\n".join([*parts, TOPICS.replace("@FAULT_KINDS@", _fault_table()), _keys(), _index()]) + "\n"
+    return "\n\n".join([*parts, _topics(), _keys(), _index()]) + "\n"
+
+
+def _topics() -> str:
+    """The sections on single topics, with their tables."""
+    fields = LaneSensorConfig.model_fields.items()
+    keys = ((f"`{name}`", f"{field.default:g}", str(field.description)) for name, field in fields)
+    sensor = _table(("key of `lane_sensor`", "default", "meaning"), keys)
+    return TOPICS.replace("@FAULT_KINDS@", _fault_table()).replace("@LANE_SENSOR@", sensor)
 
 
 SAME = re.compile(r"## [\w ]+\n(As above\.|\* v0: first version.*)(\n\n|$)")
@@ -287,7 +327,7 @@ def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 def _contents() -> str:
     head = ("id", "world", "action", "sky", "cost limit", "compiled engine")
-    return _table(head, (_line(kind, EnvConfig.build(kind.PRESET)) for kind in CLASSES))
+    return _table(head, (_line(kind, EnvConfig.build(kind.PRESET)) for kind in PAGED))
 
 
 def _line(kind: type[Preset], c: EnvConfig) -> list[str]:

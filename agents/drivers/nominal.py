@@ -42,6 +42,7 @@ class PassingSteering:
         return self.law(observation, side * self.reader.value(observation, "ego.lane_width"))
 
 
+END_M = 20.0  # of a lane that ends, before which a car waits for a gap; four lengths of it, chosen
 ROUTE_MPS2 = 100.0  # gain of the lane that the way to a goal asks for: more than any acceleration
 META_MPS2, META_S = 3.0, 0.25
 """Acceleration and response by which meta-actions start: highway-env's control covers 8.6 m in 2.5 s, 20 m in 4.5 s."""
@@ -80,8 +81,14 @@ class Nominal(Plan):
         return self._targets_mps[np.maximum(np.searchsorted(self._targets_mps, wanted_mps + 1e-6, side="right") - 1, 0)]
 
     def free_speed(self, observation: Observation) -> Array:
-        """Speed without other vehicles [m/s]."""
-        return super().wanted_speed(observation)
+        """Speed without other vehicles [m/s]; on a lane that ends and is to be left, so that the car stops before."""
+        free = super().wanted_speed(observation)
+        if not self.reader.config.roads:
+            return free
+        left = self.reader.value(observation, "road.lane_end")
+        room = np.where(left < self.reader.scale("road.lane_end"), np.maximum(left - END_M, 0.0), np.inf)
+        leaves = self.reader.value(observation, "road.route_shift") != 0.0
+        return np.where(leaves, np.minimum(free, np.sqrt(2.0 * self.config.brake_mps2 * room)), free)
 
     def widening(self, observation: Observation) -> Array | float:
         """Widening of each crossing vehicle for uncertain positions [m]."""

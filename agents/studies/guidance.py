@@ -55,7 +55,7 @@ class GuidanceConfig(Config):
             "SPP": "services/spp",
             "SBAS L1": "services/sbas_l1",
             "SBAS DFMC": "services/sbas_dfmc",
-            "low-cost GPS": "navigators/imm_s4",
+            "IMM of S4": "navigators/imm_s4",
         },
         min_length=1,
         description="values of navigator, by the name in the tables",

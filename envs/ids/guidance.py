@@ -53,7 +53,8 @@ class Guidance(Preset):
 
     ## Arguments
     `config["world"]`: `separation` (18 m), `lane_width` (3.5 m), `vehicles_count` (6), `duration` (150 s).
-    `config["navigator"]`: another [service](navigation.md#positioning-services), such as `services/spp`.
+    `config["navigator"]`: another [service](navigation.md#positioning-services), such as `services/dgps`
+    (default `services/spp`).
 
     ## Version History
     * v0: first version.
@@ -66,7 +67,7 @@ class Guidance(Preset):
         "action_options": {"target_speeds": TARGET_SPEEDS_MPS},
         "sky": "suburban",
         "lane_sensor": {},
-        "navigator": "services/sbas_dfmc",
+        "navigator": "services/spp",  # its level is about the alert limit under this sky
         "perception": {"source": "sensor"},
         "observation": {"pl_max_m": 30.0},
         "al_at_m": 15.0,

@@ -242,7 +242,7 @@ def test_where_lanes_part_the_believed_one_is_that_of_the_route_unless_it_is_far
         belief[name] = value
     belief["lane"] = nearest(table.lanes, x, 0.3, 0.02)
     loop: Any = object.__new__(BeliefLoop)
-    loop.config = SimpleNamespace(navigation=SimpleNamespace(source=Source.NAVIGATOR))
+    loop.config = SimpleNamespace(navigation=SimpleNamespace(source=Source.NAVIGATOR), lane_sensor=None)
     loop.episodes, loop.believed = SimpleNamespace(ego={"belief": belief}, table=table), car
     loop._place()
     assert car.lane_index == ("b", lane, 0)

@@ -313,7 +313,8 @@ def test_every_epoch_of_a_step_is_judged() -> None:
         seen.append(len(seen) + 1)
         belief, beside = e.ego["belief"], 5.0 if seen[-1] in (1, 3, 4) else 0.0
         x, y = env.world.vehicle.position
-        for name, value in (("x_m", x), ("y_m", y + beside), ("pl_at_m", 0.1), ("pl_ct_m", 0.1), ("available", 1)):
+        levels = {"pl_at_m": 0.1, "pl_ct_m": 0.1, "available": 1}
+        for name, value in {"fix_x_m": x, "fix_y_m": y + beside, **levels}.items():
             belief[name] = value
         count(rows)
 
@@ -346,7 +347,8 @@ def test_misleading_and_hazardous_exclude_each_other(
     def judged(error_at_m: float) -> tuple[bool, bool]:
         levels = {"pl_at_m": 0.3, "pl_ct_m": level_m, "al_at_m": 1.5, "al_ct_m": 0.6, "available": available}
         score = record_of(SCORE)
-        count_epoch(record_of(BELIEF, x_m=error_at_m, y_m=error_ct_m, **levels), score, cars_at([[0.0, 0.0]])[0])
+        belief = record_of(BELIEF, fix_x_m=error_at_m, fix_y_m=error_ct_m, **levels)
+        count_epoch(belief, score, cars_at([[0.0, 0.0]])[0])
         assert score["epochs"] == 1
         return bool(score["mi"]), bool(score["hmi"])
 
