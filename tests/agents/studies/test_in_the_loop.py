@@ -131,7 +131,7 @@ def test_streets_differ_and_do_not_cross_themselves() -> None:
 
 def test_what_is_given_of_the_navigator_stands_before_the_instruments_of_a_sky() -> None:
     def scale(given: dict[str, Any]) -> float:
-        config = InTheLoopConfig.load({"navigator": {"positioning": {"dead_reckoning": given}}})
+        config = loop.InTheLoopConfig.load({"navigator": {"positioning": {"dead_reckoning": given}}})
         return config.navigator_in("urban").positioning.dead_reckoning.odometer_scale
 
     assert scale({}) == scale({"odometer_bias_mps": 0.0}) == 0.027, "that of urban"
