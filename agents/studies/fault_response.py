@@ -1,8 +1,7 @@
 """Response of a navigator to a fault: vehicles with the fault against the same vehicles without it, by epoch.
 
-Both runs draw the same noise: all differences are effects of the fault.
-
-Detectable biases of one satellite are compared with theory. Geometries, noise and faulty satellites are drawn at
+Both runs draw the same noise: all differences are effects of the fault. Detectable biases of one satellite are compared
+with theory. Geometries, noise and faulty satellites are drawn at
 random. A bias is so many times the minimal detectable one of its satellite, ``sqrt(lambda_0 / c'MC)`` (Baarda 1968): at
 1 the test of the faulty satellite alone has the power that lambda_0 was computed for, else that of a non-central
 chi-square. Detection sees more (the other tests and the global one), exclusion less (it must name the right satellite).

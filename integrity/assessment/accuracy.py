@@ -1,7 +1,6 @@
-"""Bounding of errors by protection levels: exceedance rates with exact intervals, and ratios of level and error.
+"""Assessment of a drive: how levels bound errors, errors by mode, availability, outages.
 
-Assessment of a drive: position errors by mode (median, RMSE, percentiles; S1 table 2, S3 II.A), availability,
-outages.
+Exceedance rates have exact intervals. Errors are medians, RMSE and percentiles (S1 table 2, S3 II.A).
 """
 
 from __future__ import annotations

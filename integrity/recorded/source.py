@@ -1,8 +1,6 @@
-"""Lines of a text file that may be compressed, truncated, very large or binary, read with bounded time and memory.
+"""What all readers of recordings share: lines of text files, scales of time, and checks of the times of a series.
 
-Leap seconds, and times of week that pass the end of a week.
-
-Times of a recorded series, checked alike by all readers: rows that go back, and gaps.
+A file may be compressed, truncated, very large or binary; it is read with bounded time and memory.
 
 A row that repeats another one, values and all, is left out and counted. So is a row whose time is not later than all
 before it; where a tenth of the rows would be, the file is refused, because it is not sorted or one wrong time is far

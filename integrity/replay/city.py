@@ -15,7 +15,6 @@ Error models are trained on the first part of a drive and assessed on the rest, 
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -39,6 +38,7 @@ from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.positioning.danish import DanishConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
+from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.code_epochs import recorded_epochs
 from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, DeadReckonedPath, reckon, turned
 from lanebound.integrity.replay.sensor_checks import check_smartloc
@@ -481,10 +481,8 @@ def write_city(
     drive = read_city(folder)
     result = replay_city(drive, config, progress)
     summary = {"dataset": "smartloc", "stopped": drive.notes, **result.summary()}
-    out.mkdir(parents=True, exist_ok=True)
-    written = [out / "replay.json"]
-    written[0].write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    return summary, [*written, *_figures(result, out)]
+    written = write_summary(out / "replay.json", summary)
+    return summary, [written, *_figures(result, out)]
 
 
 def _figures(result: CityResult, out: Path) -> list[Path]:

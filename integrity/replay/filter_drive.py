@@ -7,7 +7,6 @@ lacks is switched off and named. The heading is not given: it is found by the Do
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -38,6 +37,7 @@ from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_head
 from lanebound.integrity.positioning.filters.code_position import CodePosition, CodeSource, locate_by_codes
 from lanebound.integrity.recorded.comma import Comma, read_comma
 from lanebound.integrity.recorded.smartloc import SmartLoc
+from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import path_headings, recorded_epochs
 from lanebound.integrity.replay.outages import averaged
@@ -304,9 +304,7 @@ def write_filter(
     found = {"dataset": "filter", "recording": kind, "navigator": navigator, "stopped": notes}
     found["agreement"] = {name: of.figures() for name, of in agreement.items()}
     found |= filter_summary(drive, config)
-    out.mkdir(parents=True, exist_ok=True)
-    summary = out / "replay.json"
-    summary.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    summary = write_summary(out / "replay.json", found)
     figure = series_figure(_record(drive, 1), risk=config.risks[0])
     return found, [summary, save(figure, out / "series.png")]
 

@@ -13,7 +13,6 @@ outage, less the acceleration of the solution there: slope and bias of the accel
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -38,8 +37,9 @@ from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.imu_log import G_MPS2, ImuLog, levelled, read_imu_log
 from lanebound.integrity.recorded.rtklib import RtkSolution, read_rtk_solution
 from lanebound.integrity.recorded.source import UNTIMED, notes
+from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.outages import OutageErrors, averaged, by_age, drift_figure
-from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, reckon, turned
+from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, integral, reckon, turned
 from lanebound.integrity.replay.sensor_checks import (
     ACCELERATION,
     CLEARLY,
@@ -149,7 +149,7 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     forward = c * force[:, 0] + s * force[:, 1]
     others = [_rates(replace(log, rate_radps=other), config) for other in _other_gyros(log.rate_radps)]
     pitched, *mirrored = (
-        _integral(at, c * sensed(by[:, 1], lag) - s * sensed(by[:, 0], lag)) for by in (rates, *others)
+        integral(at, c * sensed(by[:, 1], lag) - s * sensed(by[:, 0], lag)) for by in (rates, *others)
     )
     pushes = require_agreement(ACCELERATION, "g", "the log", ahead[part], forward[part], seconds)
     climbs = _slopes_agree(track, at, speed, [pitched, *mirrored], part, config)
@@ -240,11 +240,6 @@ def _rates(log: ImuLog, config: ImuOutageConfig) -> Array:
     """Rates (N, 3) of the levelled log less their means at rest [rad/s]."""
     rates, rest = levelled(log, config.rest_s)[0].rate_radps, log.gps_time_s < log.gps_time_s[0] + config.rest_s
     return np.asarray(rates - rates[rest].mean(0))
-
-
-def _integral(time_s: Array, rate: Array) -> Array:
-    """Integral from the first time on by trapezoids.  (T,)."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time_s))])
 
 
 def _slopes_agree(
@@ -446,7 +441,7 @@ def _speed(motion: InertialMotion, s: int, n: int, before: int) -> Array:
     window = slice(s - before, s + n + 1)
     time = motion.time_s[window]
     felt = motion.force_mps2[window] - G_MPS2 * (motion.pitch_rad[window] - motion.pitch_rad[s])
-    gained = np.concatenate([[0.0], np.cumsum(0.5 * (felt[1:] + felt[:-1]) * np.diff(time))])
+    gained = integral(time, felt)
     true = motion.true_speed_mps[window]
     slope = (gained[before] - (true[before] - true[0])) / (time[before] - time[0])
     return np.asarray(true[before] + gained[before:] - gained[before] - slope * (time[before:] - time[before]))
@@ -519,9 +514,7 @@ def write_imu_outages(
             (solution.name, "; ".join(filter(None, (str(track.stopped or ""), _unused(track)))), track.timing),
         ),
     }  # fmt: skip
-    out.mkdir(parents=True, exist_ok=True)
-    summary = out / "replay.json"
-    summary.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    summary = write_summary(out / "replay.json", figures)
     return figures, [summary, save(drift_figure(outages, config.risk.integrity_risk), out / "drift.png")]
 
 

@@ -7,7 +7,6 @@ from the level of a fix (:mod:`lanebound.integrity.monitoring.dead_reckoning_pl`
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,7 +23,8 @@ from lanebound.integrity.core.frames import enu_axes, track_from_enu_matrix
 from lanebound.integrity.monitoring.dead_reckoning_pl import missed_detection_factors
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.comma import Comma, read_comma
-from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, reckon, turned
+from lanebound.integrity.replay import write_summary
+from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, integral, reckon, turned
 from lanebound.integrity.replay.sensor_checks import aligned_comma
 
 if TYPE_CHECKING:
@@ -125,8 +125,7 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
 
 def averaged(time_s: Array, value: Array, at_s: Array, rate_hz: float) -> Array:
     """Mean of a signal over an interval around each time, computed as slope of the integral."""
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time_s))])
-    half = 0.5 / rate_hz
+    total, half = integral(time_s, value), 0.5 / rate_hz
     low, high = np.maximum(at_s - half, time_s[0]), np.minimum(at_s + half, time_s[-1])
     return np.asarray((np.interp(high, time_s, total) - np.interp(low, time_s, total)) / np.maximum(high - low, 1e-6))
 
@@ -305,9 +304,7 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
         "all_ages": {axis: asdict(_bounded(outages, q)) for q, axis in enumerate(("at", "ct"))},
         "with_heading_error_of_s1": _against_s1(motion, config),
     }  # fmt: skip
-    out.mkdir(parents=True, exist_ok=True)
-    summary = out / "replay.json"
-    summary.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    summary = write_summary(out / "replay.json", figures)
     drift = save(drift_figure(outages, config.risk.integrity_risk), out / "drift.png")
     return figures, [summary, drift, save(_sawtooth_figure(motion, config), out / "sawtooth.png")]
 

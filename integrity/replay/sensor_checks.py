@@ -1,11 +1,9 @@
-"""Sensors of a recorded drive against its reference, alike for all recordings: unit, sign, axis and lag.
+"""Sensors of comma2k19 and smartLoc against the reference of the recording: unit, sign, axis, lag, position.
 
 The sensed value is regressed on the reference's, which has errors of its own. They pull the slope towards 0, so that
 the true one lies between the slope and slope / correlation^2 (Frisch 1934, "Statistical confluence analysis"). A slope
 that cannot be near 1 is a unit or a sign; a strong motion that the sensor does not follow is another axis or drive. A
 drive with too little motion proves nothing, which the result says. Windows show what only a part of a drive has.
-
-The sensors of comma2k19 and smartLoc against the reference of the recording: unit, sign, axis, lag, position.
 """
 
 from __future__ import annotations
@@ -23,6 +21,7 @@ from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geod
 from lanebound.integrity.recorded.comma import Comma
 from lanebound.integrity.recorded.imu_log import G_MPS2
 from lanebound.integrity.recorded.smartloc import SmartLoc
+from lanebound.integrity.replay.reckoning import integral
 
 Array = NDArray[np.float64]
 
@@ -358,7 +357,7 @@ class _Reference:
 
 def _means(time_s: Array, value: Array, at_s: Array) -> Callable[[float], Array]:
     """Means of a series over MEAN_S around times (T,) plus a lag."""
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time_s))])
+    total = integral(time_s, value)
 
     def mean(lag_s: float) -> Array:
         low, high = (np.interp(at_s + lag_s + side * 0.5 * MEAN_S, time_s, total) for side in (-1.0, 1.0))

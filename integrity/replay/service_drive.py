@@ -13,7 +13,6 @@ compare the odometer with, so that its watch is off: wheels count as healthy.
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -34,12 +33,13 @@ from lanebound.integrity.navigators.rtk_reckoning.navigator import RtkReckoningN
 from lanebound.integrity.navigators.services.table import SERVICES, declared_of, service_named
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.rinex_observation import read_observations
+from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.baseline import require_one_site, solve_baseline
 from lanebound.integrity.replay.baseline_report import read_coordinates
 from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import WINDOW_S, fit_heading
 from lanebound.integrity.replay.datasets import find_pair, navigation_files, observation_files
-from lanebound.integrity.replay.reckoning import BridgeConfig, reckon
+from lanebound.integrity.replay.reckoning import BridgeConfig, integral, reckon
 from lanebound.integrity.replay.service_epochs import ServiceEpochs, epochs_of_drive, epochs_of_receiver
 from lanebound.integrity.sensors.augmentation import Corrections
 from lanebound.integrity.sensors.gnss import GnssEpoch
@@ -264,7 +264,7 @@ class _Run:
         path = reckon(o.time_s, o.speed_mps, -o.yaw_rate_left_radps)
         now = edge_s[1:]
         heading = np.interp(edge_s, path.time_s, path.heading_rad)
-        distance = np.interp(edge_s, path.time_s, np.concatenate([[0.0], np.cumsum(_runs(o.time_s, o.speed_mps))]))
+        distance = np.interp(edge_s, path.time_s, integral(o.time_s, o.speed_mps))
         self.turn, self.speed = np.diff(heading), np.diff(distance) / self.config.dt_s
         self.path_heading = heading[1:]
         self.way = np.stack([np.interp(now, path.time_s, path.position_m[:, k]) for k in range(2)], -1)
@@ -339,11 +339,6 @@ class _Run:
         return {"dgps": found}
 
 
-def _runs(time_s: Array, speed_mps: Array) -> Array:
-    """Signed distances between samples (M - 1,) [m]."""
-    return np.asarray(0.5 * (speed_mps[1:] + speed_mps[:-1]) * np.diff(time_s))
-
-
 Array = NDArray[np.float64]
 
 
@@ -385,9 +380,8 @@ def write_service(
         "dataset": "service", "recording": kind, "service": list(config.service), "stopped": stopped,
         **summarise_service(drive),
     }  # fmt: skip
-    out.mkdir(parents=True, exist_ok=True)
     written = [out / "service.json", out / "service.csv"]
-    written[0].write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_summary(written[0], summary)
     _write_rows(drive, written[1])
     if drive.judged.any():
         limits = config.alert.limits
