@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from lanebound.agents.drivers.base import Observation
 from lanebound.agents.drivers.crossing import crosses
 from lanebound.agents.drivers.margins import Rss, RssConfig
+from lanebound.agents.drivers.mobil import neighbours
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_out
-from lanebound.agents.drivers.plans import following_acceleration, nearest_ahead
+from lanebound.agents.drivers.plans import following_acceleration, nearest_ahead, safe_speed
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import ConfigError
@@ -33,6 +34,8 @@ class AwareConfig(RssConfig):
     )
     ratio_calm: float = Field(0.6, ge=0, lt=1, description="PL / AL up to which the limit holds [-]; chosen")
     slow_mps2: float = Field(4.0, gt=0, description="braking for an alert at most; as in RSS")
+    settled_mps: float = Field(0.2, gt=0, description="excess over a target speed at which it counts as driven")
+    follower_s: float = Field(3.0, ge=0, description="time gap up to which a follower counts; chosen")
     satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in over 3 of 5 cases")
     dead_reckoning_s: float = Field(
         30.0,
@@ -160,8 +163,25 @@ class IntegrityAware(Rss):
         c, v = self.config, self.reader.value(observation, "ego.speed")
         careful = super().acceleration(observation)
         plain = self.giving(observation, super().free_speed(observation))
-        bare = following_acceleration(v, plain, *nearest_ahead(self.reader, observation), c)
+        bare = following_acceleration(v, plain, *nearest_ahead(self.reader, observation, within_s=c.cut_in_s), c)
         return np.minimum(bare, np.maximum(careful, -c.slow_mps2))
+
+    def top_speed(self, observation: Observation) -> Array:
+        """As RSS; before a follower, levels take the next target speed only when the present one is driven.
+
+        The speed control of meta-actions approaches a target with a time constant of 0.6 s; a level each decision would
+        brake with 10 m/s2 in Highway, and a follower that reacts late hits the car.
+        """
+        careful = super().top_speed(observation)
+        if not self._targets_mps.size:
+            return careful
+        read, c = self.reader.value, self.config
+        v, target = read(observation, "ego.speed"), read(observation, "ego.target_speed")
+        follower = neighbours(self.reader, observation, 0).follower_gap_m
+        still = (v > target + c.settled_mps) & (follower < c.follower_s * v)
+        free = self.giving(observation, super().free_speed(observation))
+        bare = np.minimum(free, safe_speed(*nearest_ahead(self.reader, observation, within_s=c.cut_in_s), c))
+        return np.where(still, np.maximum(careful, np.minimum(bare, target)), careful)
 
     def change(self, observation: Observation) -> NDArray[np.int64]:
         """As nominal, with a bonus for the sky; none while an alert is on."""

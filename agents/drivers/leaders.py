@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation, Reader
-from lanebound.agents.drivers.mobil import LANES
-from lanebound.agents.drivers.plans import EGO_LENGTH_M
+from lanebound.agents.drivers.plans import EGO_LENGTH_M, LANES
 
 __all__ = ["Leader", "counted", "expected_m", "in_way", "leader_of"]
 

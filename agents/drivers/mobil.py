@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation, Reader
-from lanebound.agents.drivers.plans import EGO_LENGTH_M, FREE_M, CruiseConfig, idm_acceleration
+from lanebound.agents.drivers.plans import EGO_LENGTH_M, FREE_M, CruiseConfig, idm_acceleration, in_lane
 from lanebound.integrity.core.config import Config, Field
 
-__all__ = ["LANES", "MobilConfig", "Neighbours", "changes", "neighbours"]
+__all__ = ["MobilConfig", "Neighbours", "changes", "neighbours"]
 
 Array = NDArray[np.float64]
-LANES = {-1: "left_lane", 0: "own_lane", 1: "right_lane"}
 
 
 class MobilConfig(Config):
@@ -41,13 +40,15 @@ class Neighbours(NamedTuple):
     follower_mps: Array
 
 
-def neighbours(reader: Reader, observation: Observation, lane: int, along_m: Array | float = 0.0) -> Neighbours:
-    """Vehicles ahead and behind on a lane; ``along_m`` (..., K) is subtracted from every gap."""
+def neighbours(
+    reader: Reader, observation: Observation, lane: int, along_m: Array | float = 0.0, within_s: float = 0.0
+) -> Neighbours:
+    """Vehicles ahead and behind that are on a lane or enter it within a time; every gap less ``along_m`` (..., K)."""
     v = reader.value(observation, "ego.speed")
     if not reader.config.vehicles:
         return Neighbours(np.full(v.shape, FREE_M), v, np.full(v.shape, FREE_M), v)
     gap = reader.rows(observation, "lane_gap")
-    there = (reader.rows(observation, "present") > 0.5) & (reader.rows(observation, LANES[lane]) > 0.5)
+    there = in_lane(reader, observation, lane, within_s)
     between = np.abs(gap) - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M) - along_m
     speed = np.maximum(v[..., None] + reader.rows(observation, "velocity_ahead"), 0.0)
     return Neighbours(
@@ -84,7 +85,7 @@ def changes(
     bonus_mps2 : added to the gain of the left and of the right side
     """
     v = reader.value(observation, "ego.speed")
-    own = neighbours(reader, observation, 0, along_m)
+    own = neighbours(reader, observation, 0, along_m, c.cut_in_s)
     end = reader.value(observation, "road.lane_end")
     end = np.where(end < reader.scale("road.lane_end"), np.maximum(end, 0.0), FREE_M)
     here = np.minimum(_idm(v, wanted_mps, own.lead_gap_m, own.lead_mps, c), _idm(v, wanted_mps, end, 0.0 * v, c))
@@ -93,7 +94,7 @@ def changes(
     gains = []
     sides = ((-1, "ego.left_exists", bonus_mps2[0]), (1, "ego.right_exists", bonus_mps2[1]))
     for lane, exists, bonus in sides:
-        new = neighbours(reader, observation, lane, along_m)
+        new = neighbours(reader, observation, lane, along_m, c.cut_in_s)
         there = _idm(v, wanted_mps, new.lead_gap_m, new.lead_mps, c)
         cut = _follower(new, new.follower_gap_m, v, wanted_mps, c)
         before = _follower(new, new.lead_gap_m + new.follower_gap_m + EGO_LENGTH_M, new.lead_mps, wanted_mps, c)

@@ -65,7 +65,7 @@ class Plan:
 
     def lead(self, observation: Observation) -> tuple[Array, Array]:
         """Gap that counts to the next vehicle ahead [m], and its speed [m/s]."""
-        return nearest_ahead(self.reader, observation, *self.margins(observation))
+        return nearest_ahead(self.reader, observation, *self.margins(observation), self.config.cut_in_s)
 
     def acceleration(self, observation: Observation) -> Array:
         """Acceleration to command [m/s2]."""

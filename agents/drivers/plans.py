@@ -6,6 +6,8 @@ its velocity to its heading, delta the steering angle, (x, y) a point ahead and 
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +17,11 @@ from lanebound.integrity.core.config import Config, Field
 __all__ = [
     "EGO_LENGTH_M",
     "FREE_M",
+    "LANES",
     "CruiseConfig",
     "following_acceleration",
     "idm_acceleration",
+    "in_lane",
     "nearest_ahead",
     "pursuit_steering",
     "route_speed",
@@ -27,6 +31,8 @@ __all__ = [
 Array = NDArray[np.float64]
 EGO_LENGTH_M = 5.0  # of highway-env's cars
 FREE_M = 1e6  # gap without a vehicle ahead
+LANES = {-1: "left_lane", 0: "own_lane", 1: "right_lane"}
+MERGES = 0.5  # speed across the lane over that along it, below which a vehicle merges; 27 degrees
 
 
 class CruiseConfig(Config):
@@ -41,6 +47,9 @@ class CruiseConfig(Config):
     time_gap_s: float = Field(1.2, gt=0, description="time gap to the leader; IDM, 1 to 1.5 s")
     response_s: float = Field(0.6, ge=0, description="until braking begins: a decision and the age of a broadcast")
     standstill_m: float = Field(2.0, gt=0, description="gap at rest; IDM, Treiber 2000")
+    cut_in_s: float = Field(
+        1.0, ge=0, description="a vehicle that enters a lane within this time counts there; half of a change, chosen"
+    )
     lookahead_s: float = Field(0.8, gt=0, description="of the target point; longer is calmer, chosen")
     lookahead_min_m: float = Field(5.0, gt=0, description="and at least this far; a car's length")
 
@@ -55,13 +64,41 @@ def route_speed(reader: Reader, observation: Observation, c: CruiseConfig) -> Ar
     return np.asarray(np.sqrt(squared))
 
 
+def in_lane(reader: Reader, observation: Observation, side: int, within_s: float) -> NDArray[np.bool_]:
+    """Which vehicles have their middles in a lane, or enter it within a time along the lane's direction, (..., K).
+
+    Parameters
+    ----------
+    side : -1 for the lane left of the ego's, 0 for its own, 1 right
+    """
+    rows = partial(reader.rows, observation)
+    there = rows(LANES[side]) > 0.5
+    if within_s > 0.0:
+        sine, cosine = (reader.value(observation, f"ego.heading_{name}")[..., None] for name in ("sin", "cos"))
+        ahead, right = (
+            reader.value(observation, "ego.speed")[..., None] + rows("velocity_ahead"),
+            rows("velocity_right"),
+        )
+        along, across = cosine * ahead - sine * right, sine * ahead + cosine * right
+        width = reader.value(observation, "ego.lane_width")[..., None]
+        off = rows("lane_offset") + within_s * across - side * width
+        # A vehicle that crosses at an angle is no cut-in: giving way counts it.
+        there |= (np.abs(off) <= 0.5 * width) & (np.abs(across) <= MERGES * along)
+    return np.asarray(there & (rows("present") > 0.5))
+
+
 def nearest_ahead(
-    reader: Reader, observation: Observation, along_m: Array | float = 0.0, across_m: Array | float = 0.0
+    reader: Reader,
+    observation: Observation,
+    along_m: Array | float = 0.0,
+    across_m: Array | float = 0.0,
+    within_s: float = 0.0,
 ) -> tuple[Array, Array]:
     """Gap bumper to bumper [m] to the next vehicle on the ego's route, and its speed [m/s]; far off without one.
 
     Parameters
     ----------
+    within_s : vehicles that enter the lane within this time count
     along_m : (..., K) or number, subtracted from the gap to each vehicle
     across_m : (..., K) or number, by which the ego's lane is widened on each side for each vehicle
     """
@@ -71,8 +108,8 @@ def nearest_ahead(
     gap = reader.rows(observation, "lane_gap")
     half = 0.5 * reader.value(observation, "ego.lane_width")[..., None]
     near = np.abs(reader.rows(observation, "lane_offset")) <= half + across_m
-    own = (reader.rows(observation, "own_lane") > 0.5) | (near & (np.asarray(across_m) > 0.0))
-    there = (reader.rows(observation, "present") > 0.5) & own & (gap > 0.0)
+    wide = near & (np.asarray(across_m) > 0.0) & (reader.rows(observation, "present") > 0.5)
+    there = (in_lane(reader, observation, 0, within_s) | wide) & (gap > 0.0)
     free = np.where(there, gap - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M) - along_m, FREE_M)
     best = np.argmin(free, axis=-1)[..., None]
     closing = np.take_along_axis(reader.rows(observation, "velocity_ahead"), best, axis=-1)[..., 0]

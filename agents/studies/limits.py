@@ -11,6 +11,9 @@ Limits of an episode's costs by one rule for every id and sky: what a sound driv
 a cost is the 0.7 quantile of its sums over the episodes of `integrity_aware` on training seeds, rounded up
 to one significant digit. A cost whose quantile is 0 has no limit by this rule: an excess is a share of the limit. The
 quantile is the smallest sum that at least 70 % of the episodes do not exceed.
+
+The limit in the mean is for learners, which compare a mean: that of the costs without crashes and ends off the road,
+and 1 % of the cost of such an end, rounded up likewise.
 """
 
 from __future__ import annotations
@@ -280,6 +283,7 @@ def _alert_limits_of(found: Mapping[str, Any]) -> Table:
 COST_SECTIONS = ("limits", "quantiles")
 OWN = "own"
 WHOLE = "cost"
+ENDS = ("cost_collision", "cost_off_road")
 LEVEL = 0.95  # of intervals
 
 
@@ -289,6 +293,9 @@ class CostLimitsConfig(LimitsConfig):
     skies: tuple[str, ...] = Field((OWN, "urban"), min_length=1, description="presets of the sky; own: that of the id")
     driver: str = Field("integrity_aware", description="a sound driver")
     quantile: float = Field(0.7, gt=0, lt=1, description="share of its episodes that keep a limit [-]")
+    ends: float = Field(
+        0.01, ge=0, lt=1, description="share of episodes that the limit in the mean lets end in a crash or off the road"
+    )
     seeds: int = Field(24, ge=2, le=1000, description="episodes of each id and sky, of training seeds")
     overrides: Mapping[str, Any] = Field({}, description="of the environments' configuration, merged deeply")
 
@@ -305,11 +312,15 @@ def limit_by_rule(sums: Sequence[float], quantile: float) -> float | None:
     >>> limit_by_rule([0.0, 0.4, 1.2, 1.8], 0.7), limit_by_rule([0.0, 0.0, 0.0, 9.0], 0.7)
     (2.0, None)
     """
-    found = float(np.quantile(sums, quantile, method="inverted_cdf"))
-    if found <= 0.0:
+    return _rounded_up(float(np.quantile(sums, quantile, method="inverted_cdf")))
+
+
+def _rounded_up(limit: float) -> float | None:
+    """To one significant digit; None for 0."""
+    if limit <= 0.0:
         return None
-    digit = 10.0 ** math.floor(math.log10(found))
-    return float(f"{math.ceil(found / digit - 1e-9) * digit:.1g}")  # 1e-9: 0.3 / 0.1 is more than 3
+    digit = 10.0 ** math.floor(math.log10(limit))
+    return float(f"{math.ceil(limit / digit - 1e-9) * digit:.1g}")  # 1e-9: 0.3 / 0.1 is more than 3
 
 
 def tune_cost_limits(
@@ -341,11 +352,16 @@ def _of_place(config: CostLimitsConfig, name: str, advance: Advance) -> dict[str
         whole += np.where(going, infos["cost"], 0.0)
         by_cause += np.where(going[:, None], infos["costs"], 0.0)
         advance(min(step / longest, 1.0))
+    weights = np.array([weight * (cause in ENDS) for cause, weight in made.cost.weights.items()])
+    mean = float(np.mean(whole - by_cause @ weights) + config.ends * weights.max())
     sums = {WHOLE: whole, **{group: by_cause @ made.cost.weights_of(group) for group in GROUPS}}
     return {
         "env": env,
         "sky": sky,
         "cost_limit": made.cost_limit,
+        "mean": float(whole.mean()),
+        "ended": int(np.count_nonzero(by_cause @ weights)),
+        "limit_in_mean": _rounded_up(mean),
         "sums": {key: values.tolist() for key, values in sums.items()},
         "limits": {key: limit_by_rule(values.tolist(), config.quantile) for key, values in sums.items()},
     }
@@ -358,10 +374,14 @@ def cost_tables(found: Mapping[str, Any]) -> dict[str, Table]:
 
 def _limits_of(found: Mapping[str, Any]) -> Table:
     rows = [
-        (part["env"], part["sky"], f"{part['cost_limit']:g}", _over(part), *map(_limit, part["limits"].values()))
+        (
+            part["env"], part["sky"], f"{part['cost_limit']:g}", _over(part), f"{part['mean']:.3g}",
+            f"{part['ended']}", _limit(part["limit_in_mean"]), *map(_limit, part["limits"].values()),
+        )
         for part in found["places"].values()
-    ]
-    return ("id", "sky", "`cost_limit` today", "episodes over it", "by the rule: whole", *GROUPS), rows
+    ]  # fmt: skip
+    today = ("id", "sky", "`cost_limit` today", "episodes over it", "mean", "crashed or off the road")
+    return (*today, "limit in the mean", "by quantile: whole", *GROUPS), rows
 
 
 def _over(part: Mapping[str, Any]) -> str:

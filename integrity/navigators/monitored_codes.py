@@ -69,7 +69,7 @@ class MonitorChoice(Config):
 
     @model_validator(mode="after")
     def _guards_a_drive(self) -> MonitorChoice:
-        kind, there = monitor_named(self.kind), {"codes", "fit", "steps"}
+        kind, there = monitor_named(self.kind), {"codes", "fit", "steps", "map"}
         if "fixed" in kind.needs:
             raise ConfigError(
                 f"kind must be a monitor of codes, got {self.kind!r}, of fixed carriers: 'navigator: {{kind: "
@@ -78,7 +78,7 @@ class MonitorChoice(Config):
         anchored = {level.value for level in MEMORY if level not in GOES_ON}
         if not there.issuperset(kind.needs) or kind.changes.get("level") in anchored:
             raise ConfigError(
-                f"kind must be a monitor that needs codes and steps alone, got {self.kind!r}, which needs "
+                f"kind must be a monitor of codes without an anchor, got {self.kind!r}, which needs "
                 f"{' and '.join(kind.needs)}: choose another one of 'lanebound monitors'"
             )
         if "fit" in kind.needs and self.errors is None:
@@ -119,6 +119,12 @@ class MonitoredCodesConfig(NavigatorConfig):
     def _has_codes(self) -> MonitoredCodesConfig:
         if not self.gnss.undifferenced:
             raise ConfigError("gnss.undifferenced must be true, got false: this kind needs undifferenced codes")
+        detector = self.gnss.reflection_detector
+        if "map" in monitor_named(self.monitor.kind).needs and (detector.kind == "none" or detector.use != "flag"):
+            raise ConfigError(
+                f"gnss.reflection_detector must flag signals for monitor {self.monitor.kind!r}, got kind "
+                f"{detector.kind!r} and use {detector.use!r}: set a kind, and use: flag"
+            )
         if any(self.positioning.lever_arm_m):
             raise ConfigError(
                 "positioning.antenna_forward_m and antenna_right_m must be 0 for monitored_codes, got "
@@ -324,6 +330,7 @@ def code_epochs(m: Measurements, budget: CodeBudget, rows: NDArray[np.int64]) ->
     return CodeEpochs.of(
         code, los, budget.code(elevation, g.cn0_dbhz[rows]), used, m.sky.system.astype(np.int64),
         cn0_dbhz=g.cn0_dbhz[rows], elevation_rad=elevation, time_s=np.full(rows.size, m.time_s),
+        shadowed=None if g.reflected is None else g.reflected[rows],
     )  # fmt: skip
 
 

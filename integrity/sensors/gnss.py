@@ -13,14 +13,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from lanebound.integrity.core.config import Config
-from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
@@ -43,6 +43,7 @@ __all__ = [
     "GnssEpoch",
     "GnssState",
     "NearObjectsConfig",
+    "ReflectionDetectorConfig",
     "initial_state",
     "near_rules",
     "observe",
@@ -76,6 +77,55 @@ class NearObjectsConfig(Config):
     def fitted(self) -> bool:
         """Whether there are near objects."""
         return self.kind != "none"
+
+
+class ReflectionDetectorConfig(Config):
+    """A detector that flags signals whose direct path is blocked (S3 Table II), and what the receiver does with them.
+
+    Each signal has a verdict, right with the rates of the kind. It lasts ``lasting_s`` on average and at most until
+    the tracked path changes from direct to reflected or back: a mistake is no white noise.
+    """
+
+    kind: Literal["none", "fisheye", "dual_polarisation", "given"] = Field(
+        "none",
+        description="none; a camera of the sky; an antenna for both polarisations; given: by the two rates below",
+    )
+    finds: float | None = Field(None, ge=0, le=1, description="share of reflected signals that are flagged, of given")
+    mistakes: float | None = Field(None, ge=0, le=1, description="share of direct signals that are flagged, of given")
+    lasting_s: float = Field(2.0, gt=0, description="mean time of a verdict [s]; chosen: metres of driving")
+    use: Literal["exclude", "flag"] = Field(
+        "exclude",
+        description="exclude: the receiver leaves flagged signals out; flag: monitors that use a map read the flags",
+    )
+
+    @model_validator(mode="after")
+    def _rates_are_given(self) -> Self:
+        for name in ("finds", "mistakes"):
+            if (getattr(self, name) is None) == (self.kind == "given"):
+                wanted = "be a share" if self.kind == "given" else "be left out"
+                raise ConfigError(
+                    f"{name} must {wanted} for kind {self.kind!r}, got {getattr(self, name)}: kind 'given' takes both"
+                )
+        return self
+
+    @property
+    def rates(self) -> tuple[float, float]:
+        """Shares of reflected and of direct signals that are flagged."""
+        if self.kind == "given":
+            return float(self.finds or 0.0), float(self.mistakes or 0.0)
+        return RATES[self.kind]
+
+
+RATES = {
+    "none": (0.0, 0.0),
+    # Neural networks segment fisheye images of the sky with a pixel F1 above 99 % (thesis, core.ac.uk/works/150454516).
+    "fisheye": (0.99, 0.01),
+    # A reflection is flagged where its left-handed part is the stronger one (Jiang and Groves 2014). By the Fresnel
+    # coefficients of concrete that is so for 0.61 of the directions between 15 and 70 degrees before a facade
+    # (ITU-R P.2040); mistakes are chosen.
+    "dual_polarisation": (0.61, 0.01),
+}
+"""Shares of reflected and of direct signals that a kind of detector flags."""
 
 
 def near_rules(config: NearObjectsConfig, dt_s: float) -> Records:
@@ -121,6 +171,7 @@ class GnssEpoch:
     next_best : (B, 2) rank of the wrong integers that it accepts instead, and their azimuth
         (:class:`.effects.FaultEffects`); None: no faults
     corrections : what the receiver holds of each provider of ``gnss.augmentation.providers``, by name
+    reflected : (B, S) bool, a detector flags the signal as reflected (``gnss.reflection_detector``); None: unknown
     """
 
     tracked: NDArray[np.bool_]
@@ -135,6 +186,7 @@ class GnssEpoch:
     integer_error: NDArray[np.int64] | None = None
     next_best: Array | None = None
     corrections: Mapping[str, Corrections] | None = None
+    reflected: NDArray[np.bool_] | None = None
 
 
 @dataclass
@@ -274,6 +326,9 @@ class GnssConfig(Config):
     near_objects: NearObjectsConfig = Field(
         NearObjectsConfig(), description="multipath of the vehicle's roof and what is beside it"
     )
+    reflection_detector: ReflectionDetectorConfig = Field(
+        ReflectionDetectorConfig(), description="flags signals that arrive by reflection alone; none by default"
+    )
 
     @field_validator("bands")
     @classmethod
@@ -345,6 +400,11 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
         chip=chip,
         paths=_path_parameters(c, dt_s),
         near=near_rules(c.near_objects, dt_s),
+        detects=c.reflection_detector.kind != "none",
+        excludes=c.reflection_detector.use == "exclude",
+        finds=c.reflection_detector.rates[0],
+        mistakes=c.reflection_detector.rates[1],
+        renews=-math.expm1(-dt_s / c.reflection_detector.lasting_s),
         **c.station_parts,
     )
 
@@ -508,4 +568,5 @@ def gnss_epoch(signals: Records, vehicles: Records) -> GnssEpoch:
     return GnssEpoch(
         signals["tracked"], signals["code"], signals["phase"], signals["range_rate"], signals["cn0"],
         signals["lock_lost"], vehicles["age"], integer_error=signals["integer_error"], next_best=vehicles["next_best"],
+        reflected=signals["reflected"],
     )  # fmt: skip

@@ -89,6 +89,11 @@ GNSS_RULES = record(
     chip=("f8", (N_SYSTEMS, BANDS), "length of a chip [m]"),
     paths=(PATH_RULES, "figures of propagation and loops"),
     near=(NEAR_RULES, "figures of near objects"),
+    detects=("?", "whether there is a detector of reflected signals"),
+    excludes=("?", "whether the receiver leaves out what it flags"),
+    finds="probability that a reflected signal is flagged [-]",
+    mistakes="probability that a direct one is [-]",
+    renews="probability that a verdict is drawn anew in an epoch [-]",
 )
 """Figures of :class:`~lanebound.integrity.sensors.gnss.GnssConfig`."""
 
@@ -103,6 +108,8 @@ SIGNAL = record(
     ambiguity=("f8", (BANDS,), "half cycles, by band"),
     tracked=(TRACKED, "the arrival that is tracked"),
     near=(NEAR, "multipath of near objects"),
+    reflected=("?", "the tracked arrival was a reflection when the detector last judged"),
+    flagged=("?", "its verdict"),
 )
 """What lasts of a satellite's signal from epoch to epoch."""
 
@@ -274,6 +281,20 @@ def settle_half_cycle(rules, signal):  # type: ignore[no-untyped-def]
 
 
 @jit
+def judge(rules, reflected, u, signal):  # type: ignore[no-untyped-def]
+    """The verdict of the detector on a signal; it lasts until the path changes or, by chance, it is judged anew.
+
+    A signal that the receiver has just found is judged too. ``u`` are UNIFORMS, of which lower digits are used, so that
+    a detector changes no other draw.
+    """
+    new = signal.code_s <= rules.dt
+    if new or reflected != signal.reflected or digits(u.kind, 1e8) < rules.renews:
+        signal.reflected = reflected
+        signal.flagged = digits(u.slip, 1e8) < (rules.finds if reflected else rules.mistakes)
+    return signal.flagged
+
+
+@jit
 def weakness(rules, level):  # type: ignore[no-untyped-def]
     """Rate of slips at ``level`` [dB-Hz] against that at the reference C/N0."""
     return math.exp(LN10 * (rules.slip_cn0 - level) / rules.slip_decade)
@@ -423,7 +444,7 @@ def observe_vehicle(rules, site, slows, own, draws, sky, reception, truth, of_fa
     h = (truth.position[2] + spoof[2]) + (reference[2] + shift[2])
     for s in range(reception.shape[0]):
         signal, out, effect = memory[s], signals[s], effects[s]
-        out.tracked = out.lock_lost = False
+        out.tracked = out.lock_lost = out.reflected = False
         out.cn0 = out.range_rate = 0.0
         for b in range(BANDS):
             out.code[b] = out.phase[b] = 0.0
@@ -450,7 +471,8 @@ def observe_vehicle(rules, site, slows, own, draws, sky, reception, truth, of_fa
         if rules.near.fitted:
             root = math.sqrt(0.5 * (1.0 + slant * slant))
             late_rate += advance_near(rules.near, speed, root, draws.near[s], signal.near, work)
-        if not has_code:
+        out.reflected = rules.detects and arrives and judge(rules, reception[s].path == REFLECTED, uniform, signal)
+        if not has_code or (out.reflected and rules.excludes):
             continue
         out.tracked, out.cn0 = True, level
         power, clear = noise_power(slant, level)

@@ -10,6 +10,7 @@ __all__ = ["OBSERVED_SIGNAL", "OBSERVED_VEHICLE"]
 OBSERVED_SIGNAL = record(
     e=("f8", (3,), "unit vector to the satellite, East North Up"),
     tracked=("?", "the code is tracked"),
+    reflected=("?", "a detector flags the signal as reflected; never without one"),
     lock_lost=("?", "the receiver detected a loss of carrier lock since the previous epoch"),
     cn0="carrier-to-noise density [dB-Hz]",
     range_rate="Doppler without the motion of the satellite [m/s]",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.lateral import EGO_LENGTH_M, LqrSteering, PursuitSteering, StanleySteering
 from lanebound.agents.drivers.mobil import MobilConfig, changes, neighbours
-from lanebound.agents.drivers.plans import FREE_M, CruiseConfig, idm_acceleration
+from lanebound.agents.drivers.plans import FREE_M, CruiseConfig, idm_acceleration, in_lane, nearest_ahead
 from lanebound.agents.episodes import EpisodeLog, drive, open_env
 from lanebound.envs.observation import ObservationConfig
 
@@ -101,8 +102,8 @@ def road(reader: Reader, *cars: tuple[str, float, float], **values: float) -> np
     """The ego at 10 m/s on a long road with lanes on both sides; cars by lane, signed gap and relative speed."""
     shown = {"ego__speed": 10.0, "ego__left_exists": 1.0, "ego__right_exists": 1.0, "ego__lane_width": 4.0}
     shown |= {"road__junction": 150.0, "road__lane_end": 150.0}
-    for k, (lane, gap, closing) in enumerate(cars):
-        row = {"present": 1.0, f"{lane}_lane": 1.0, "lane_gap": gap, "velocity_ahead": closing, "length": EGO_LENGTH_M}
+    for k, (lane, gap, faster) in enumerate(cars):
+        row = {"present": 1.0, f"{lane}_lane": 1.0, "lane_gap": gap, "velocity_ahead": faster, "length": EGO_LENGTH_M}
         shown |= {f"traffic__v{k}_{name}": value for name, value in row.items()}
     return observation(reader, **(shown | values))
 
@@ -116,6 +117,44 @@ def test_neighbours_are_the_nearest_of_their_lane(flat):
     left, right = neighbours(flat, seen, -1), neighbours(flat, seen, 1, along_m=2.0)
     assert [float(x) for x in left] == pytest.approx([15.0, 11.0, 10.0, 13.0], rel=1e-5)
     assert [float(x) for x in right] == pytest.approx([2.0, 10.0, FREE_M, 10.0], rel=1e-5)
+
+
+def test_a_vehicle_that_enters_a_lane_counts_there_before_it_is_on_it(flat):
+    """From 4 m to the left, the middle of a lane of 4 m, 2.1 m/s reach its marking at 2 m within a second."""
+    heading = {"ego__heading_cos": 1.0, "traffic__v0_lane_offset": -4.0}
+    slow, fast, crossing = (
+        road(flat, ("left", 20.0, -5.0), **heading, traffic__v0_velocity_right=across) for across in (1.9, 2.1, 6.0)
+    )
+    assert nearest_ahead(flat, slow, within_s=1.0)[0] == FREE_M
+    assert nearest_ahead(flat, fast)[0] == FREE_M, "without a time only the middle counts"
+    gap, speed = nearest_ahead(flat, fast, within_s=1.0)
+    assert (float(gap), float(speed)) == (pytest.approx(15.0, rel=1e-5), pytest.approx(5.0, rel=1e-5))
+    assert nearest_ahead(flat, crossing, within_s=1.0)[0] == FREE_M, "it crosses at 50 degrees"
+    assert neighbours(flat, fast, 0, within_s=1.0).lead_gap_m == pytest.approx(15.0, rel=1e-5)
+    askew = road(
+        flat, ("left", 20.0, -5.0), traffic__v0_lane_offset=-4.0, traffic__v0_velocity_right=0.0,
+        ego__heading_sin=0.6, ego__heading_cos=0.8,
+    )  # fmt: skip
+    # A car that is turned right by 37 degrees sees 5 m/s ahead as 3 m/s to the right of the lane.
+    assert not in_lane(flat, askew, 0, 0.5)[0]
+    assert not in_lane(flat, askew, 0, 1.0)[0], "0.75 of its speed along: no merging"
+
+
+def test_before_a_follower_a_level_slows_by_one_target_speed_at_a_time():
+    with closing(open_env("lanebound/Highway-v0", {"observation": {"form": "flat"}})) as env:
+        driver, flat = make_agent("integrity_aware", env), Reader(env.config.observation)
+        slower = {label: code for code, label in env.world.action_type.actions.items()}["SLOWER"]
+
+        def act(gap: float, v: float) -> int:
+            seen = road(
+                flat, ("own", gap, 0.0), ego__speed=v, ego__target_speed=25.0, ego__heading_cos=1.0,
+                road__speed_limit=30.0, integrity__alert=1.0, integrity__ratio_ct=2.0,
+            )  # fmt: skip
+            return int(driver.act(seen))
+
+        assert act(-100.0, 27.0) == slower, "nobody is near behind"
+        assert act(-30.0, 27.0) != slower, "the target speed before is not driven yet"
+        assert act(-30.0, 25.1) == slower
 
 
 def test_a_slow_leader_is_passed_on_the_free_side(flat):

@@ -38,7 +38,7 @@ class CodeEpochs:
     system : (m,) clock group of each satellite, 0 to 7.
     cn0_dbhz, elevation_rad : (E, m).
     drive : (E,) number of the drive of each epoch, ascending; methods with memory begin anew where it changes.
-    shadowed : (E, m) bool, a map predicts that the direct path is blocked; None without a map.
+    shadowed : (E, m) bool, a map or a detector says that the direct path is blocked; None without either.
     step_enu_m, step_sigma_m : (E, 3) displacement since the epoch before by wheels, gyro or Doppler, and (E,) its
         standard deviation on each axis, inf where unknown; None without such sensors.
     carrier_step_m : (E, m) observed minus computed change of the carrier since the epoch before, of the same form as

@@ -26,7 +26,7 @@ EXCLUDING = (
 )
 ADVANCED = EXCLUDING.replace("single faults", "faults of up to two satellites and systems")
 CHOSEN = EXCLUDING + ", and if code_sigma_m, which is chosen, bounds the codes"
-MAPPED = EXCLUDING + ", and the map has no errors"
+MAPPED = EXCLUDING + ", and map or detector make no mistake"
 FIXED = "P(error > HPL) <= risk with single faults of their priors and of the integers, if exclusion is right"
 ODDS = "P(error > HPL) <= risk with codes off by their odds, independent given C/N0"
 CODES = "codes"
@@ -118,9 +118,9 @@ KINDS = (
           weights="cn0"),
     _kind("elevation_cn0", CITY, "weights by both, exclusion, root level", "S3 V-A", CHOSEN, **ROOT,
           rejection="local_test", weights="elevation_cn0"),
-    _kind("map_exclude", CITY, "codes predicted to be reflected are left out", "S3 V-B1, 3D-aided", MAPPED, "codes+map",
+    _kind("map_exclude", CITY, "codes called reflected by map or detector are left out", "S3 V-B1", MAPPED, "codes+map",
           **ROOT, rejection="local_test", shadowed="exclude"),
-    _kind("map_deweight", CITY, "codes predicted to be reflected have less weight", "S3 V-B1, 3D-aided", MAPPED,
+    _kind("map_deweight", CITY, "codes called reflected by map or detector weigh less", "S3 V-B1", MAPPED,
           "codes+map", **ROOT, rejection="local_test", shadowed="deweight"),
     _kind("normal", LAWS, "normal errors of the stated deviations", "S3 eq 5", NOMINAL, level="normal"),
     _kind("classes", LAWS, "overbounds by C/N0 x elevation x path, exclusion, root level", "S3 V-A; fit-errors",

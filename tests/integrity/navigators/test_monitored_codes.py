@@ -187,8 +187,8 @@ def test_the_configuration_asks_for_what_it_needs() -> None:
     assert c.gnss.undifferenced
     assert NavigatorConfig.load(c.to_dict()) == c
     assert NavigatorConfig().replace(kind="monitored_codes").gnss.undifferenced
-    for kind in ("rraim_position", "rraim_range", "map_exclude"):
-        with pytest.raises(ConfigError, match=r"needs codes and steps alone, got .* which needs codes and"):
+    for kind in ("rraim_position", "rraim_range"):
+        with pytest.raises(ConfigError, match=r"a monitor of codes without an anchor, got .* which needs codes and"):
             config(kind)
     with pytest.raises(ConfigError, match="antenna_right_m must be 0"):
         config(positioning={"antenna_forward_m": 1.0})
