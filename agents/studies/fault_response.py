@@ -32,7 +32,8 @@ from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
 Array = NDArray[np.float64]
-
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 FACTORS = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
 GEOMETRIES = 40
@@ -113,9 +114,6 @@ def _row(
         "right": rate_of(int(right.sum()), n),
     }
 
-
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 LOOP_M = ((0.0, 0.0), (600.0, 100.0), (900.0, 700.0), (200.0, 800.0), (-200.0, 400.0))
 

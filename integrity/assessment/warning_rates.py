@@ -12,7 +12,8 @@ warned. A wrong charge was not due; a missed one was due and not charged.
 The power of the speed phase is by Monte Carlo of windows of speeds with one fault each: Doppler has white noise of the
 size that its covariance says, wheels have noise, a scale error and the fault. Motion is steady, or brakes unevenly
 within the window. Wheels that are frozen while the car stands show when it drives off: these rows are of the whole
-monitor on a straight road, whose verdict holds at rest."""
+monitor on a straight road, whose verdict holds at rest.
+"""
 
 from __future__ import annotations
 

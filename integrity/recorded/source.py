@@ -234,6 +234,13 @@ def _gaps(time_s: Array) -> tuple[Array, float]:
     return np.stack([time_s[k], time_s[k + 1]], -1), missing
 
 
+def interpolated(at_s: Array, time_s: Array, value: Array) -> Array:
+    """Values (N,) or (N, k) of times (N,) at others (T,): linear between samples, constant beyond them."""
+    if value.ndim == 1:
+        return np.interp(at_s, time_s, value)
+    return np.stack([np.interp(at_s, time_s, column) for column in value.T], -1)
+
+
 def notes(*series: tuple[str, Stop | str | None, Timing]) -> dict[str, str]:
     """By name, what of a series was not used or is missing, for those of which something is."""
     texts = ((name, "; ".join(filter(None, (str(stop or ""), timing.note)))) for name, stop, timing in series)

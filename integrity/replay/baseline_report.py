@@ -8,14 +8,13 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import bounding_by_axis, doubt
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import (
     ecef_from_geodetic,
@@ -389,7 +388,7 @@ def _errors(solved: Baseline, rover_ecef_m: Array) -> dict[str, Any]:
             "horizontal_max_m": float(np.hypot(*off[:, :2].T).max()),
             "spatial_max_m": float(np.linalg.norm(off, axis=1).max()),
             "mean_enu_m": off.mean(0).tolist(),
-            **{a: asdict(measure_bounding(track[:, q], solved.pl_m[keep, q])) for q, a in enumerate(("at", "ct"))},
+            **bounding_by_axis(track, solved.pl_m[keep]),
         }  # fmt: skip
     return {"errors": out, "doubt": next(filter(None, doubts), None)}
 

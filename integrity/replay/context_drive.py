@@ -4,7 +4,8 @@ A drive is judged once in an interval; what a recording lacks is skipped, and na
 range rates, so that the speed phase is skipped, and the direction is that of wheels and gyro, turned to fit the code
 positions of the last minute. RINEX: codes, and range rates by Doppler or by carriers; no wheels. comma2k19: positions
 and Doppler speeds of the receiver, and wheels; no geometry, so that the position phase is skipped. The truth is apart,
-for an assessment."""
+for an assessment.
+"""
 
 from __future__ import annotations
 
@@ -44,6 +45,7 @@ from lanebound.integrity.positioning.map_matching.road_map import NO_LINK, RoadM
 from lanebound.integrity.recorded.comma import Comma, read_comma
 from lanebound.integrity.recorded.road_file import RoadLines, read_roads
 from lanebound.integrity.recorded.smartloc import Odometry
+from lanebound.integrity.recorded.source import interpolated
 from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.code_epochs import reckoned_steps
 from lanebound.integrity.replay.differences import carrier_rates
@@ -243,7 +245,7 @@ def _of_receiver(segment: Comma, config: ContextReplayConfig) -> ContextEpochs:
         ),
         position=PositionTest(none, np.zeros(at.size), none, there, there),
         skipped={"position": NO_GEOMETRY}, notes=("SDOP is that of a declared error of the receiver's speed",),
-        truth_en_m=np.stack([np.interp(time, r.time_s, truth[:, k]) for k in range(2)], -1),
+        truth_en_m=interpolated(time, r.time_s, truth[:, :2]),
         known=(time >= r.time_s[0] - FRESH_S) & (time <= r.time_s[-1] + FRESH_S) & ~segment.bridged(time),
     )  # fmt: skip
 
@@ -316,7 +318,7 @@ def _is_near(line: Array, track: Array, within_m: float) -> bool:
     step = np.hypot(*np.diff(line, axis=0).T)
     arc = np.concatenate([[0.0], np.cumsum(step)])
     at = np.linspace(0.0, arc[-1], 2 + int(arc[-1] / (0.2 * within_m)))
-    points = np.stack([np.interp(at, arc, column) for column in line.T], -1)
+    points = interpolated(at, arc, line)
     return any(bool((np.square(points - here).sum(-1) <= within_m**2).any()) for here in some)
 
 

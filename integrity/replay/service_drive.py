@@ -14,16 +14,16 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import bounding_by_axis, doubt
 from lanebound.integrity.assessment.plotting import save, series_figure
-from lanebound.integrity.assessment.record import AXES, Record
+from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.core.progress import Progress, silent
@@ -33,6 +33,7 @@ from lanebound.integrity.navigators.rtk_reckoning.navigator import RtkReckoningN
 from lanebound.integrity.navigators.services.table import SERVICES, declared_of, service_named
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.rinex_observation import read_observations
+from lanebound.integrity.recorded.source import interpolated
 from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.baseline import require_one_site, solve_baseline
 from lanebound.integrity.replay.baseline_report import read_coordinates
@@ -51,6 +52,7 @@ from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SkyMask
 
+Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 NO_DOPPLER_DBHZ = 99.0  # lowest C/N0 of range rates, where a recording has none
@@ -267,7 +269,7 @@ class _Run:
         distance = np.interp(edge_s, path.time_s, integral(o.time_s, o.speed_mps))
         self.turn, self.speed = np.diff(heading), np.diff(distance) / self.config.dt_s
         self.path_heading = heading[1:]
-        self.way = np.stack([np.interp(now, path.time_s, path.position_m[:, k]) for k in range(2)], -1)
+        self.way = interpolated(now, path.time_s, path.position_m)
 
     def advance(self, n: int, k: int, out: ServiceDrive) -> None:
         """One tick: measurements of recorded epoch k (-1: none), solution, and the heading for the next tick."""
@@ -337,9 +339,6 @@ class _Run:
             zenith_declared_m=0.0, has_zenith=True, age_s=age, zenith_age_s=age,
         )  # fmt: skip
         return {"dgps": found}
-
-
-Array = NDArray[np.float64]
 
 
 SMARTLOC_DT_S = 0.1  # its epochs are 0.2 and 0.3 s apart
@@ -478,7 +477,7 @@ def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
     if level.any():  # without one there is nothing to exceed
         error, pl = record.by_epoch()
         figures["doubt"] = doubt(drive.config.risk.integrity_risk, error[level], pl[level], "epochs")
-        figures |= {axis: asdict(measure_bounding(record.error(axis)[level], record.pl(axis)[level])) for axis in AXES}
+        figures |= bounding_by_axis(error[level], pl[level])
     return found | figures
 
 
