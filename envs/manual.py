@@ -237,10 +237,10 @@ film."""
 
 PRICED_TEXT = """In the ids `...Priced-v0` to stop has a price; the others stay as they are. Alert limits are of a
 budget (`alert_limit: budget`), an alert permits the speed that follows from the level (`cost.alert_speed: level`),
-`cost_blocking` has the weight 1, and a body beyond its lane costs at rest as at 2 m/s. The cost limit is the 0.7
-quantile of `integrity_aware` over the 20 training seeds from 1000 on, rounded up. Other ids have no such variant,
-because a car that stands or crawls would keep such a limit too often
-([degenerate policies](results/degenerate-policies.md#priced-ids)), or because that was not measured."""
+`cost_blocking` has the weight 1, and a body beyond its lane costs at rest as at 2 m/s. The cost limit is for a mean:
+that of `integrity_aware` without crashes over 40 training seeds, and 1 % of a crash, rounded up
+([rule](results/cost-limits.md)). Other ids have no such variant, because a car that stands or crawls would keep such a
+limit too often ([degenerate policies](results/degenerate-policies.md#priced-ids)), or because that was not measured."""
 PRICED_HEAD = ("id", "cost limit", "cost limit without prices", "more")
 
 
