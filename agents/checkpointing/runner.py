@@ -1,8 +1,7 @@
-"""Worker processes: one part at a time each, observed by the parent, ended and replaced when a part takes too long.
+"""The runner of all resumable work: it computes missing parts, in this process or in workers, within a budget.
 
+Workers compute one part at a time each, observed by the parent, and are ended and replaced when a part takes too long.
 A worker starts from nothing (``spawn``), computes on one thread, ignores interrupts, and ends with its parent.
-
-The runner of all resumable work: it computes missing parts, in this process or in workers, within a budget.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
-from lanebound.agents.cli.options import AsJson, Assignments, Jobs, Plugins, changes
+from lanebound.agents.cli.options import AsJson, Assignments, EnvIds, Jobs, Page, Plugins, changes
 from lanebound.agents.cli.output import carry_out, show, show_study, with_bar
 from lanebound.agents.cli.static import known_skies
 
@@ -195,12 +195,9 @@ def others(
 @app.command("limits")
 def limits(
     out: Annotated[Path, typer.Option(help="Folder for results.json; a run is resumed there.")],
-    env: Annotated[
-        list[str] | None,
-        typer.Option("--env", metavar="ID", help="This id alone; may be repeated. All eight otherwise."),
-    ] = None,
+    env: EnvIds = None,
     seeds: Annotated[int | None, typer.Option(min=2, help="Episodes under each error; the study has 32.")] = None,
-    page: Annotated[Path | None, typer.Option(metavar="FILE.md", help="Page whose tables are written anew.")] = None,
+    page: Page = None,
     jobs: Jobs = 1,
     assignments: Assignments = None,
     as_json: AsJson = False,

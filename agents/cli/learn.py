@@ -15,9 +15,11 @@ from lanebound.agents.cli.options import (
     Budget,
     Cores,
     EnvId,
+    EnvIds,
     Fresh,
     FullTables,
     Jobs,
+    Page,
     Plugins,
     changes,
     require_one_source,
@@ -262,10 +264,7 @@ def _announce(chosen: LearningStudyConfig, course: Course, hours: float, jobs: i
 
 def curves(
     out: Annotated[Path, typer.Option(help="Folder of the trainings and results; a run is resumed there.")],
-    env: Annotated[
-        list[str] | None,
-        typer.Option("--env", metavar="ID", help="This id alone; may be repeated. All eight otherwise."),
-    ] = None,
+    env: EnvIds = None,
     minutes: Annotated[float | None, typer.Option(min=0.01, help="Of a core for learning in each id; 6.")] = None,
     page: Annotated[
         Path | None, typer.Option(metavar="FILE.md", help="Page whose tables and picture are written anew.")
@@ -342,10 +341,7 @@ def growth(
 @tune.command("limits")
 def tune_limits(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for results.json; a run is resumed there.")],
-    env: Annotated[
-        list[str] | None,
-        typer.Option("--env", metavar="ID", help="This id alone; may be repeated. All eight otherwise."),
-    ] = None,
+    env: EnvIds = None,
     sky: Annotated[
         list[str] | None,
         typer.Option("--sky", help="Preset of the sky; may be repeated. Otherwise that of each id, and urban."),
@@ -353,7 +349,7 @@ def tune_limits(
     seeds: Annotated[
         int | None, typer.Option(min=2, help="Episodes of each, of training seeds; by default 24.")
     ] = None,
-    page: Annotated[Path | None, typer.Option(metavar="FILE.md", help="Page whose tables are written anew.")] = None,
+    page: Page = None,
     jobs: Jobs = 1,
     assignments: Assignments = None,
     _plugins: Plugins = None,

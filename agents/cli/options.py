@@ -28,12 +28,16 @@ Assignments = Annotated[
 ]
 Budget = Annotated[float | None, typer.Option(min=0.0, metavar="HOURS", help="Start no part of the work after that.")]
 Cores = Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")]
+EnvIds = Annotated[
+    list[str] | None, typer.Option("--env", metavar="ID", help="This id alone; may be repeated. All eight otherwise.")
+]
 EnvId = Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")]
 Faults = Annotated[str | None, typer.Option(help="Instruments fail: none, nominal, stress or one (in each episode).")]
 Fps = Annotated[int | None, typer.Option(min=1, help="Pictures of the film in a second of the drive; 10 by default.")]
 Fresh = Annotated[bool, typer.Option("--fresh/--resume", help="Remove the results of an earlier run, or resume it.")]
 FullTables = Annotated[bool, typer.Option("--full", help="Print the tables of every cell, with intervals.")]
 Jobs = Annotated[int, typer.Option(min=1, help="Parts of the work at a time, a process each.")]
+Page = Annotated[Path | None, typer.Option(metavar="FILE.md", help="Page whose tables are written anew.")]
 Plugins = Annotated[
     list[str] | None,
     typer.Option(

@@ -1,7 +1,4 @@
-"""``lanebound replay``, ``rtk`` and ``record-sky``: recorded drives, computed by the navigator of simulated ones.
-
-``lanebound fit-imu``: the warm-up error of accelerometers from a static log.
-"""
+"""``lanebound replay``, ``rtk``, ``record-sky`` and ``fit-imu``: recorded drives, and static logs of accelerometers."""
 
 from __future__ import annotations
 

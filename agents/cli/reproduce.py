@@ -46,6 +46,7 @@ def urban_drive(
         written = f"ablation.json, and tables and figures of each: {out}"
         show(found, [(title, study.ablation_rows(found))], as_json, written)
         return
+    study.check(config, out)
     tables = carry_out(out, "part", lambda report: study.run_study(config, out, report), "epochs")
     against = study.rows_against_paper(tables)
     data = {"tables": tables, "against_paper": against, "short_run": study.is_short(tables)}

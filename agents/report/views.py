@@ -1,8 +1,6 @@
-"""Stored episodes of a benchmark: records for assessment, and the worst ones.
+"""The tables and pictures of one place of a benchmark, from its stored episodes.
 
-Tables of a report: agents by metrics with intervals, and places by agents.
-
-The tables and pictures of one place of a benchmark.
+Tables have agents by metrics with intervals, and places by agents; episodes are those to assess, and the worst ones.
 """
 
 from __future__ import annotations

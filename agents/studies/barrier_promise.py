@@ -1,8 +1,8 @@
 """The promise of the barrier filter over many random episodes, without faults and with injected ones.
 
 Reckless drivers follow a stop-and-go leader under every sky; the filter is all that is between them and a crash. Every
-decision is judged by the truth. With faults the error may leave its level: how often that
-happens, and how often a barrier is lost, is compared with the integrity risk.
+decision is judged by the truth. With faults the error may leave its level: how often that happens, and how often a
+barrier is lost, is compared with the integrity risk.
 
 The promise is an induction: from a state with ``h >= 0`` a decision made while all assumptions hold leads to a state
 with ``h >= 0``. Each decision is judged for itself, so that one exception does not excuse the rest of an episode.
@@ -29,7 +29,7 @@ from lanebound.agents.drivers.barrier import BarrierConfig, BarrierFilter
 from lanebound.agents.drivers.nominal import make_nominal
 from lanebound.agents.episodes import drive, open_env
 from lanebound.agents.episodes.columns import Moment
-from lanebound.agents.studies.study import Shown, claim, parts_of, stored
+from lanebound.agents.studies.study import Shown, claim, parts_of, seed_batches, stored
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import alert_limits_m, navigator_config
 from lanebound.integrity.assessment.accuracy import clopper_pearson
@@ -348,7 +348,8 @@ def run_promise(
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
     claim(out, "barrier promise study", config, PACKAGES)
-    names = {group: [_name(group, seeds) for seeds in _batches(config)] for group in GROUPS}
+    batches = seed_batches(config.first_seed, config.episodes, config.batch)
+    names = {group: [_name(group, seeds) for seeds in batches] for group in GROUPS}
     ordered = [name for batch in zip(*names.values(), strict=True) for name in batch]
     found = parts_of(config, drive_named, ordered, out, jobs, on_progress, size=lambda name: len(_seeds(name)))
     result = {group: summarise_promise([found[name] for name in names[group]]) for group in GROUPS}
@@ -367,13 +368,7 @@ def _by_fault(config: BarrierPromiseConfig, crashed: Sequence[int]) -> dict[str,
     }
 
 
-def _batches(config: BarrierPromiseConfig) -> Iterator[range]:
-    last = config.first_seed + config.episodes
-    for first in range(config.first_seed, last, config.batch):
-        yield range(first, min(first + config.batch, last))
-
-
-def _name(group: str, seeds: range) -> str:
+def _name(group: str, seeds: Sequence[int]) -> str:
     """Name of a part."""
     return f"{group.replace(' ', '-')}-{seeds[0]}-{seeds[-1]}"
 

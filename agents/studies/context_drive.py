@@ -3,11 +3,10 @@
 The truth is the link of the route on which the vehicle is; within ``node_m`` of a node both links of the route count
 as true. Nothing that the monitor reads contains it.
 
-Weights of the topological matcher, fitted on maps and drives that no result uses.
-
-``python -m lanebound.agents.studies.context_drive`` drives three maps of each kind of roads (maps and seeds from 1000
-on; results have maps 0 to 4) and prints the share of right links for each scale of distance and weight of connection.
-The chosen pair has the largest mean share, over kinds of roads, true maps and maps with errors alike.
+``python -m lanebound.agents.studies.context_drive`` fits the weights of the topological matcher on drives that no
+result uses: three maps of each kind of roads (maps and seeds from 1000 on; results have maps 0 to 4). It prints the
+share of right links for each scale of distance and weight of connection. The chosen pair has the largest mean share,
+over kinds of roads, true maps and maps with errors alike.
 """
 
 from __future__ import annotations

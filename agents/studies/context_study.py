@@ -1,14 +1,13 @@
-"""Tables of the context study: medians over drives, pooled counts, the crossing of the sweep, charges.
-
-``lanebound reproduce context``: the drives of S5 on generated roads, and its Tables 3 and 4, figure 8 and more.
+"""``lanebound reproduce context``: the drives of S5 on generated roads, and its Tables 3 and 4, figure 8 and more.
 
 Every drive is measured once. All matchers, both maps (true, and with errors), all forms of the speed phase and all
-combinations of phases judge the same measurements.
+combinations of phases judge the same measurements. Tables have medians over drives, pooled counts, the crossing of the
+sweep, and charges.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.report.pages import Table
 from lanebound.agents.serialization import finite_or_none
 from lanebound.agents.studies.context_drive import DRIVES, DriveTable, MonitorSeries, drive_figures, drive_of, wrong_map
-from lanebound.agents.studies.study import Shown, claim, parts_of, stored
+from lanebound.agents.studies.study import Shown, claim, parts_of, seed_batches, spread, stored
 from lanebound.integrity.assessment.plotting import INK, LIMIT_COLOUR, PL_COLOUR, legend, new_figure, save, tidy
 from lanebound.integrity.assessment.warning_rates import (
     PUBLISHED_COUNTS,
@@ -69,9 +68,9 @@ def _environment(drives: list[Mapping[str, Any]], roads: str) -> dict[str, Any]:
         "roads": roads,
         "drives": len(drives),
         "points": int(sum(d["points"] for d in drives)),
-        "moving": _spread(d["moving"] for d in drives),
-        "error_m": [_spread(d["error_m"][k] for d in drives) for k in range(2)],
-        "speed": {form: _spread(d["speed"][form] for d in drives) for form in drives[0]["speed"]},
+        "moving": spread(d["moving"] for d in drives),
+        "error_m": [spread(d["error_m"][k] for d in drives) for k in range(2)],
+        "speed": {form: spread(d["speed"][form] for d in drives) for form in drives[0]["speed"]},
         "of": {key: _monitor([d["of"][key] for d in drives]) for key in drives[0]["of"]},
         "assumptions": {name: _monitor([d["assumptions"][name] for d in drives]) for name in drives[0]["assumptions"]},
     }
@@ -79,11 +78,11 @@ def _environment(drives: list[Mapping[str, Any]], roads: str) -> dict[str, Any]:
 
 def _monitor(found: list[Mapping[str, Any]]) -> dict[str, Any]:
     return {
-        "right": _spread(f["right"] for f in found),
-        "available": _spread(f["available"] for f in found),
-        "level_m": _spread(f["level_m"] for f in found),
+        "right": spread(f["right"] for f in found),
+        "available": spread(f["available"] for f in found),
+        "level_m": spread(f["level_m"] for f in found),
         "beyond": [int(n) for n in np.sum([f["beyond"] for f in found], 0)],
-        "passed": _spread(f["passed"] / max(f["counts"]["never"][0], 1) for f in found),
+        "passed": spread(f["passed"] / max(f["counts"]["never"][0], 1) for f in found),
         "reasons": [int(n) for n in np.sum([f["reasons"] for f in found], 0)],
         "rules": {rule: _counts([f["counts"][rule] for f in found]) for rule in RULES},
         "stages": [_counts([f["stages"][k] for f in found]) for k in range(PHASE_COUNT)],
@@ -97,19 +96,12 @@ def _monitor(found: list[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _spread(values: Iterable[float]) -> list[float]:
-    """Median, 5 and 95 %."""
-    found = np.array(list(values))
-    method: Any = "linear" if np.isfinite(found).all() else "higher"
-    return [float(q) for q in np.quantile(found, [0.5, 0.05, 0.95], method=method)]
-
-
 def _counts(rows: Sequence[Sequence[int]]) -> dict[str, Any]:
     """Rates of the drives that have points, and of all their points together."""
     each = [WarningCounts(*row) for row in rows]
     total, some = sum(each[1:], each[0]), [c for c in each if c.points]
     return {
-        **{key: _spread(getattr(c, key) for c in some) if some else None for key in ("ocdr", "far", "mdr")},
+        **{key: spread(getattr(c, key) for c in some) if some else None for key in ("ocdr", "far", "mdr")},
         "pooled": {
             "points": total.points, "wrong": total.wrong, "false_alarms": total.false_alarms, "missed": total.missed,
             "ocdr": total.ocdr, "per_right": total.per_right, "per_wrong": total.per_wrong,
@@ -141,7 +133,7 @@ def _percent(value: float | None, digits: int = 1) -> str:
     return "-" if value is None else f"{100.0 * value:.{digits}f} %"
 
 
-def _with_spread(values: Sequence[float] | None) -> str:
+def _withspread(values: Sequence[float] | None) -> str:
     return "-" if values is None else f"{100 * values[0]:.1f} ({100 * values[1]:.1f} to {100 * values[2]:.1f}) %"
 
 
@@ -155,9 +147,9 @@ def ocdr_rows(tables: Mapping[str, Any]) -> Table:
         found, published = env["of"][MAIN], PUBLISHED_COUNTS[env["roads"]]
         paper = WarningCounts(published[2], 0, *published[:2])
         rows.append((
-            name, _percent(paper.ocdr, 2), _with_spread(found["over_all"]["ocdr"]),
-            *(_with_spread(found["rules"][rule]["ocdr"]) for rule in ("as printed", "all phases", "never")),
-            *(_with_spread(stage["ocdr"]) for stage in found["stages"]), _with_spread(found["available"]),
+            name, _percent(paper.ocdr, 2), _withspread(found["over_all"]["ocdr"]),
+            *(_withspread(found["rules"][rule]["ocdr"]) for rule in ("as printed", "all phases", "never")),
+            *(_withspread(stage["ocdr"]) for stage in found["stages"]), _withspread(found["available"]),
         ))  # fmt: skip
     return (
         "drive", "S5", COUNTED, "warned at rest", "all phases", "never warn", *STAGES, "HPL within limit",
@@ -191,10 +183,10 @@ def assumption_rows(tables: Mapping[str, Any]) -> Table:
     for name, env in tables["environments"].items():
         for assumed, found in _by_receiver(env):
             rows.append((
-                name, assumed, f"{found['level_m'][0]:.1f} m", _with_spread(found["available"]),
-                _beyond(*found["beyond"]), _with_spread(found["passed"]),
-                _with_spread(found["rules"]["as printed"]["ocdr"]), _with_spread(found["rules"]["all phases"]["ocdr"]),
-                _with_spread(found["over_all"]["ocdr"]), _with_spread(found["stages"][-1]["ocdr"]),
+                name, assumed, f"{found['level_m'][0]:.1f} m", _withspread(found["available"]),
+                _beyond(*found["beyond"]), _withspread(found["passed"]),
+                _withspread(found["rules"]["as printed"]["ocdr"]), _withspread(found["rules"]["all phases"]["ocdr"]),
+                _withspread(found["over_all"]["ocdr"]), _withspread(found["stages"][-1]["ocdr"]),
             ))  # fmt: skip
         passed = 100 * PUBLISHED_PASSED[env["roads"]] / PUBLISHED_COUNTS[env["roads"]][2]
         paper = f"{PRINTED_PERCENT[env['roads']]:.2f} %"
@@ -242,7 +234,7 @@ def matcher_rows(tables: Mapping[str, Any]) -> Table:
                 "-" if found[of]["crossing"] is None else f"{found[of]['crossing']:.0f}" for of in ("sweep", "belief")
             ]
             rows.append((
-                name, which, kind, _with_spread(found["right"]), *cells, _percent(found["sweep"]["best_ocdr"]),
+                name, which, kind, _withspread(found["right"]), *cells, _percent(found["sweep"]["best_ocdr"]),
                 _percent(found["belief"]["best_ocdr"]),
             ))  # fmt: skip
     return (
@@ -257,7 +249,7 @@ def speed_rows(tables: Mapping[str, Any]) -> Table:
     forms = list(next(iter(cases.values())))
     rows: list[tuple[str, ...]] = [(name, *(_percent(found[form]) for form in forms)) for name, found in cases.items()]
     for name, env in tables["environments"].items():
-        rows.append((f"{name} drives, no fault", *(_with_spread(env["speed"][form]) for form in forms)))
+        rows.append((f"{name} drives, no fault", *(_withspread(env["speed"][form]) for form in forms)))
     return ("case", *forms), rows
 
 
@@ -443,12 +435,10 @@ def run_context(config: ContextStudyConfig, out: Path, on_progress: OnProgress =
 
 def _parts(config: ContextStudyConfig) -> dict[str, list[int]]:
     """Seeds of each part: an environment and a map."""
-    last = config.first_seed + config.seeds
-    starts = range(config.first_seed, last, config.batch)
     return {
-        f"{environment}-{number}": list(range(first, min(first + config.batch, last)))
+        f"{environment}-{number}": seeds
         for environment in config.environments
-        for number, first in enumerate(starts)
+        for number, seeds in enumerate(seed_batches(config.first_seed, config.seeds, config.batch))
     }
 
 

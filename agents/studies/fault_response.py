@@ -1,8 +1,7 @@
 """Response of a navigator to a fault: vehicles with the fault against the same vehicles without it, by epoch.
 
-Both runs draw the same noise: all differences are effects of the fault.
-
-Detectable biases of one satellite are compared with theory. Geometries, noise and faulty satellites are drawn at
+Both runs draw the same noise: all differences are effects of the fault. Detectable biases of one satellite are compared
+with theory. Geometries, noise and faulty satellites are drawn at
 random. A bias is so many times the minimal detectable one of its satellite, ``sqrt(lambda_0 / c'MC)`` (Baarda 1968): at
 1 the test of the faulty satellite alone has the power that lambda_0 was computed for, else that of a non-central
 chi-square. Detection sees more (the other tests and the global one), exclusion less (it must name the right satellite).
@@ -33,7 +32,8 @@ from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
 Array = NDArray[np.float64]
-
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 FACTORS = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
 GEOMETRIES = 40
@@ -114,9 +114,6 @@ def _row(
         "right": rate_of(int(right.sum()), n),
     }
 
-
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 LOOP_M = ((0.0, 0.0), (600.0, 100.0), (900.0, 700.0), (200.0, 800.0), (-200.0, 400.0))
 

@@ -1,4 +1,4 @@
-"""The fault campaign: every kind of fault in several sizes and lengths, and the response of the navigator.
+"""The fault campaign: how often kinds of faults of several sizes and lengths are noticed, and how often they mislead.
 
 Vehicles drive a loop of city streets under an open sky. Each vehicle drives twice with the same noise: with a fault,
 and without it. A fault of a satellite strikes another satellite for each vehicle. The declaration of a kind
@@ -7,8 +7,6 @@ satellite signals, and whether it changes what the vehicle broadcasts: then the 
 
 The campaign also compares the power of detection and exclusion with theory, by the size of a bias
 (:mod:`.fault_response`).
-
-Figures of the fault campaign: by kind and size, how often a fault is noticed and how often it misleads.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
-"""The trials of S4 (its scenarios 5 to 11) as simulated drives: routes, outages, spurious positions, filters.
+"""The trials of S4 as simulated drives, its fit of an accelerometer, and the faults that its gate is for.
 
-S4 prints neither maps nor times of its circuits beyond what its text states: lengths, speeds and lengths of outages are
-those of the text, shapes of roads are chosen. Positions are GPS alone with errors as EGNOS leaves them. The reference
-point is S4's geometrical centre, half way between the axles, so that the vehicles slip in bends as its model says.
+Trials are its scenarios 5 to 11: routes, outages, spurious positions, filters. S4 prints neither maps nor times of its
+circuits beyond what its text states: lengths, speeds and lengths of outages are those of the text, shapes of roads are
+chosen. Positions are GPS alone with errors as EGNOS leaves them. The reference point is S4's geometrical centre, half
+way between the axles, so that the vehicles slip in bends as its model says.
 
 S4's fit of the error of an accelerometer (section II-C5) is repeated on static logs made by its law, with the noise it
 states. A least-squares fit with a free constant leaves a mean error of 0. S4 states -3.2e-4 m/s^2 after its fit, which
 alone drifts by 0.58 m in 60 s, most of its 0.7 m: that mean is of other data than the fit, or the fit had not
 converged.
 
-Faults that S4's gate is for: positions rejected, and errors with the gate and without it.
-
-Vehicles drive a loop of city streets under an open sky, with the equipment of S4's trials. Each meets the fault from
-another side. All filters see the same measurements. What counts is each position that was due while the fault lasted.
+Faults: positions rejected, and errors with the gate and without it. Vehicles drive a loop of city streets under an open
+sky, with the equipment of S4's trials. Each meets the fault from another side. All filters see the same measurements.
+What counts is each position that was due while the fault lasted.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
-"""How often errors exceed their protection levels in drives of the whole navigator, by sky, mode and risk.
+"""How often errors exceed their levels in drives of the whole navigator, and whether levels say more than mode and age.
 
-Vehicles of one street share its city, its satellites and its faults, so that the spread between streets limits the
-accuracy of a rate: its interval is that of the mean over streets, by resampling whole streets. Where no street has an
-exceedance, the interval is the exact one of the share of streets that have any.
+Rates are by sky, mode and risk. Vehicles of one street share its city, its satellites and its faults, so that the
+spread between streets limits the accuracy of a rate: its interval is that of the mean over streets, by resampling whole
+streets. Where no street has an exceedance, the interval is the exact one of the share of streets that have any.
 
-Whether protection levels say more about large errors than positioning mode and age of RTK, by sky.
-
-Each second of each vehicle is a sample: mode, time since the last RTK position, level across the track and error across
-the track. Two models of one form predict whether the error is large, one from mode and age, the other from mode, age
-and level. The area under the ROC curve (AUC) of predictions for streets that the model has not seen compares them. A
-third model predicts the logarithm of the level from mode and age; its R^2 says how much of a level is a clock.
+What a level says of large errors beyond the mode and the age of RTK, by sky: each second of each vehicle is a sample:
+mode, time since the last RTK position, level across the track and error across the track. Two models of one form
+predict whether the error is large, one from mode and age, the other from mode, age and level. The area under the ROC
+curve (AUC) of predictions for streets that the model has not seen compares them. A third model predicts the logarithm
+of the level from mode and age; its R^2 says how much of a level is a clock.
 
 The models are piecewise (bi)linear in the logarithms of age and level (tensor products of linear B-splines), one for
 each mode, fitted by ridge regression: logistic for the error, least squares for the level.

@@ -52,6 +52,8 @@ from lanebound.agents.studies.study import Shown, stored
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError
 
+Array = NDArray[np.float64]
+
 LEARNING_S = 2e-4  # of the networks of PPO, a decision; measured
 MOMENT_S = 2.0
 
@@ -119,8 +121,6 @@ SHOWN = ("return", "cost", "over_cost_limit", "harm", "collision", "off_road", "
 PRIMARY = ("return", "cost", "harm")
 """Metrics whose differences between arms are tested together, by Holm's method."""
 RATES = ("over_cost_limit", "collision", "off_road", "lane_departure")
-
-Array = NDArray[np.float64]
 
 
 def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]]) -> dict[str, Any]:

@@ -54,6 +54,8 @@ from lanebound.integrity.sky.systems import System
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Array = NDArray[np.float64]
+
 COLUMNS = 5
 BINS = 60
 STYLE = """body{font:14px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:80rem;padding:0 1rem;color:#222}
@@ -138,7 +140,6 @@ def stanford_sheet(config: MonitorsConfig, place: Mapping[str, Any]) -> Figure:
     return figure
 
 
-Array = NDArray[np.float64]
 WHOLE, AFTER = "whole drive", "after training"
 PREDICTED = {"GPS": (System.GPS,), "GPS and Galileo": (System.GPS, System.GALILEO), "all": tuple(System)}
 PUBLISHED_HAL_M, PUBLISHED_FALSE_ALARM, PUBLISHED_MISSED = 50.0, 5e-3, 5e-5  # S3 V-B1 [17], toll collection

@@ -1,10 +1,8 @@
-"""Drives of the study of services: what a vehicle has in an epoch, and the convergence of PPP at rest.
+"""Positioning services side by side under open, half-open and urban skies, next to what S2 and S4 print.
 
 HDOP is that of the satellites of the service that are tracked above its mask, with the clocks of its systems; and that
 of those in the line of sight alone, which is closer to a receiver that loses weak signals. A service is ``corrected``
 while the corrections that the vehicle holds are not older than their time-outs.
-
-Positioning services side by side under open, half-open and urban skies, next to what S2 and S4 print.
 
 S2 section 6: in the open, lane identification and collision alert could be done about 80 % of the time with SBAS DFMC
 and nearly always with PPP; in the city hardly ever. S2 states no accuracy for them; here an application is possible
@@ -13,8 +11,8 @@ levels are. S4 section III-A: a low-cost GPS receiver in the open without and wi
 available on a mixed circuit and in the city, by its satellites alone and with SISNeT. The mixed circuit is here the
 mean over the skies, of which the city of S4 is ``dense``. EGNOS is available while its corrections are not older than
 their time-outs, and there is a position from satellites in the line of sight: S4 counts travelled time with corrected
-positions. S4's receiver has one channel for EGNOS (NovAtel MiLLennium command
-descriptions OM-20000053, section 2.3.1: 10 GPS and 1 WAAS channels).
+positions. S4's receiver has one channel for EGNOS (NovAtel MiLLennium command descriptions OM-20000053, section 2.3.1:
+10 GPS and 1 WAAS channels).
 
 The drives are too short for PPP to converge: each begins with ``ppp_approach_s`` of driving under an open sky. How PPP
 converges has a scenario of its own: vehicles at rest in the open for 30 minutes, at hours spread over a day.

@@ -1,8 +1,8 @@
 """Errors of code and Doppler of a recorded drive next to those of a simulated receiver.
 
-Codes are compared by C/N0 and elevation. The recorded drive is
-shown in two halves: figures may be chosen by the first, and are judged by the second. A raw table of a part of the
-drive, with a label for each signal whose direct ray is blocked, adds code and Doppler errors by path.
+Codes are compared by C/N0 and elevation. The recorded drive is shown in two halves: figures may be chosen by the first,
+and are judged by the second. A raw table of a part of the drive, with a label for each signal whose direct ray is
+blocked, adds code and Doppler errors by path.
 
 Recorded, labelled and simulated residuals are treated alike. The receiver's clock at an epoch is the median residual of
 its GPS signals of 40 dB-Hz and more; from the code residuals of every other system their median at 42 dB-Hz and more is

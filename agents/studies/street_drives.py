@@ -64,8 +64,19 @@ class StreetDrivesConfig(Config):
         return self.warm_up_s + self.duration_s
 
     def navigator_in(self, sky: str) -> NavigatorConfig:
-        """The navigator with the instruments of a sky."""
-        return SkyLevel.named(sky).navigator(self.navigator)
+        """The navigator with the instruments of a sky; what differs from the defaults of its kind is kept."""
+        own = _changed(self.navigator.to_dict(), type(self.navigator)().to_dict())
+        return SkyLevel.named(sky).navigator(self.navigator).replace(**own)
+
+
+def _changed(now: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    """What differs from other plain data, by key."""
+    both = {key: (value, before.get(key)) for key, value in now.items()}
+    return {
+        key: _changed(new, old) if isinstance(new, dict) and isinstance(old, dict) else new
+        for key, (new, old) in both.items()
+        if new != old
+    }
 
 
 C = TypeVar("C", bound=StreetDrivesConfig)

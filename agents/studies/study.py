@@ -5,10 +5,12 @@ What a command shows of a study are lines and tables in the order of :data:`Show
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
@@ -59,6 +61,19 @@ def parts_of(
     :func:`~lanebound.agents.checkpointing.runner.run_parts`.
     """
     return run_parts(out, names, partial(work, config), jobs, on_progress, **more)
+
+
+def seed_batches(first: int, count: int, size: int) -> list[list[int]]:
+    """Seeds from the first one on in batches of at most ``size``."""
+    last = first + count
+    return [list(range(begin, min(begin + size, last))) for begin in range(first, last, size)]
+
+
+def spread(values: Iterable[float]) -> list[float]:
+    """Median, 5 % and 95 % quantile; no interpolation towards a value that is infinite."""
+    found = np.array(list(values), dtype=np.float64)
+    method: Any = "linear" if np.isfinite(found).all() else "higher"
+    return [float(q) for q in np.quantile(found, [0.5, 0.05, 0.95], method=method)]
 
 
 def stored(result: Mapping[str, Any], out: Path, name: str = "results.json") -> dict[str, Any]:

@@ -1,16 +1,9 @@
-"""A Tokyo-like urban drive, and the tables of S1 that come out of it (sections 4 and 5, tables 2, 4 and 5).
+"""A Tokyo-like urban drive next to S1 (El-Mowafy and Kubo: sections 4 and 5, tables 2, 4 and 5), and its ablation.
 
 Many seeds drive the same loop for the same time: each has its own traffic lights, signals, instruments and outages.
 Figures are medians over the seeds of the statistic of one drive, with their spread: one drive alone passes or fails by
-luck.
-
-Figures printed by the source papers, as data, and the bands within which ours should fall.
-
-S1: El-Mowafy and Kubo, integrated RTK, IMU and odometer positioning (tables 2, 4, 5 and the text of section 5).
-
-The urban drive for all its seeds, batch by batch, and its tables and figures.
-
-The urban drive with its chosen constants taken away one by one: how many cells of S1's tables each of them buys.
+luck. The printed figures stand here with the bands within which ours should fall. The ablation takes the chosen
+constants away one by one: how many cells of S1's tables each of them buys.
 """
 
 from __future__ import annotations
@@ -30,7 +23,7 @@ from pydantic import Field
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, RunProgress, ignore, run_parts
 from lanebound.agents.report.pages import Table
 from lanebound.agents.serialization import finite_or_none
-from lanebound.agents.studies.study import Shown, claim, stored
+from lanebound.agents.studies.study import Shown, claim, seed_batches, spread, stored
 from lanebound.integrity.assessment.plotting import map_figure, save, series_figure, stanford_figure
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.core.config import Config
@@ -69,6 +62,20 @@ PL_CT_M = {  # S1 table 5
     "imu_odometer": (0.884, 1.101, 1.150, 1.191),
 }
 IMPOSSIBLE = {("error", "imu_odometer", "rmse_ct_m"), ("error", "imu_odometer", "median_ct_m")}
+MODE_CODES = {"rtk": Mode.RTK, "doppler": Mode.DOPPLER, "imu_odometer": Mode.IMU_ODOMETER}
+LOOP_M = (
+    (0.0, 0.0), (700.0, 150.0), (1100.0, -100.0), (1500.0, 300.0), (1400.0, 900.0), (800.0, 1100.0), (300.0, 900.0),
+    (-200.0, 1000.0), (-350.0, 400.0),
+)  # fmt: skip
+PACKAGES = ("lanebound.integrity", "lanebound.agents.studies")
+ALERT_LIMIT_M = 1.0  # S1 section 5
+FIGURE_RISKS = {"1e-4": 1, "1e-6": 3}  # S1 figures 3 and 4
+WHITE_S = 0.01  # correlation time far below an epoch
+SHOWN = {
+    "RTK error along, across [m]": (("error", "rtk", "median_at_m"), ("error", "rtk", "median_ct_m")),
+    "RTK PL at 1e-6 [m]": (("pl_median", "rtk", "at_m", "1e-6"), ("pl_median", "rtk", "ct_m", "1e-6")),
+    "Doppler PL at 1e-6 [m]": (("pl_median", "doppler", "at_m", "1e-6"), ("pl_median", "doppler", "ct_m", "1e-6")),
+}
 
 
 @dataclass(frozen=True)
@@ -110,13 +117,6 @@ def _cells() -> list[PrintedFigure]:
 
 
 CELLS = _cells()
-
-
-MODE_CODES = {"rtk": Mode.RTK, "doppler": Mode.DOPPLER, "imu_odometer": Mode.IMU_ODOMETER}
-LOOP_M = (
-    (0.0, 0.0), (700.0, 150.0), (1100.0, -100.0), (1500.0, 300.0), (1400.0, 900.0), (800.0, 1100.0), (300.0, 900.0),
-    (-200.0, 1000.0), (-350.0, 400.0),
-)  # fmt: skip
 
 
 class UrbanDriveConfig(Config):
@@ -296,11 +296,6 @@ def _medians(level: NDArray[np.float32]) -> dict[str, dict[str, float]]:
     }
 
 
-PACKAGES = ("lanebound.integrity", "lanebound.agents.studies")
-ALERT_LIMIT_M = 1.0  # S1 section 5
-FIGURE_RISKS = {"1e-4": 1, "1e-6": 3}  # S1 figures 3 and 4
-
-
 def run_study(
     config: UrbanDriveConfig, out: Path, on_progress: OnProgress = ignore, masks: Path | None = None
 ) -> dict[str, Any]:
@@ -330,9 +325,8 @@ def run_study(
 
 def _batches(config: UrbanDriveConfig) -> dict[str, list[int]]:
     """Seeds of each part by its name."""
-    last = config.first_seed + config.seeds
-    seeds = (range(first, min(first + config.batch, last)) for first in range(config.first_seed, last, config.batch))
-    return {f"seeds-{batch[0]}-{batch[-1]}": list(batch) for batch in seeds}
+    batches = seed_batches(config.first_seed, config.seeds, config.batch)
+    return {f"seeds-{seeds[0]}-{seeds[-1]}": seeds for seeds in batches}
 
 
 def _drive_batch(config: UrbanDriveConfig, out: Path, masks: Path, name: str, advance: Advance) -> list[dict[str, Any]]:
@@ -396,7 +390,7 @@ def summarise(statistics: list[dict[str, Any]]) -> dict[str, Any]:
     tables: dict[str, Any] = {"spread": {}}
     for path in paths:
         values = [v for s in statistics if (v := lookup(s, path)) is not None]
-        middle, low, high = _quantiles(values)
+        middle, low, high = spread(values)
         if path[0] == "exceedance":
             middle = _pooled(statistics, path)
         elif path[0] == "epochs":
@@ -416,12 +410,6 @@ def _pooled(statistics: list[dict[str, Any]], path: tuple[str, ...]) -> float:
     """A share of the epochs of one mode, of all drives together."""
     pairs = [(rate, lookup(one, ("epochs", path[1]))) for one in statistics if (rate := lookup(one, path)) is not None]
     return float(sum(rate * epochs for rate, epochs in pairs) / sum(epochs for _, epochs in pairs))
-
-
-def _quantiles(values: list[float]) -> tuple[float, float, float]:
-    """Median, 5 % and 95 % quantile; no interpolation towards a level that is infinite."""
-    found = np.quantile(values, [0.5, 0.05, 0.95], method="linear" if np.isfinite(values).all() else "higher")
-    return float(found[0]), float(found[1]), float(found[2])
 
 
 def rows_against_paper(tables: dict[str, Any]) -> list[dict[str, Any]]:
@@ -521,14 +509,6 @@ def _outlines(city: City) -> NDArray[np.float64]:
     triangles = city.triangles_enu_m[~city.foliage]
     level = np.ptp(triangles[:, :, 2], axis=1) < 1e-6
     return np.asarray(triangles[level, :, :2])
-
-
-WHITE_S = 0.01  # correlation time far below an epoch
-SHOWN = {
-    "RTK error along, across [m]": (("error", "rtk", "median_at_m"), ("error", "rtk", "median_ct_m")),
-    "RTK PL at 1e-6 [m]": (("pl_median", "rtk", "at_m", "1e-6"), ("pl_median", "rtk", "ct_m", "1e-6")),
-    "Doppler PL at 1e-6 [m]": (("pl_median", "doppler", "at_m", "1e-6"), ("pl_median", "doppler", "ct_m", "1e-6")),
-}
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
-"""Bounding of errors by protection levels: exceedance rates with exact intervals, and ratios of level and error.
+"""Assessment of a drive: how levels bound errors, errors by mode, availability, outages.
 
-Assessment of a drive: position errors by mode (median, RMSE, percentiles; S1 table 2, S3 II.A), availability,
-outages.
+Exceedance rates have exact intervals. Errors are medians, RMSE and percentiles (S1 table 2, S3 II.A).
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import bdtrc, betaincinv
 
 from lanebound.integrity.assessment.plotting import count_zones
-from lanebound.integrity.assessment.record import AXES, Axis, Record, find_events
+from lanebound.integrity.assessment.record import AXES, Record, find_events
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_probability
 from lanebound.integrity.positioning.modes import Mode
 
@@ -113,12 +112,17 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def bounding_by_mode(record: Record) -> dict[str, dict[Axis, dict[str, Any]]]:
+def bounding_by_axis(error_m: Array, pl_m: Array) -> dict[str, dict[str, Any]]:
+    """``{"at": {...}, "ct": {...}}`` of errors and levels (..., 2) on both axes, as JSON data."""
+    return {axis: asdict(measure_bounding(error_m[..., q], pl_m[..., q])) for q, axis in enumerate(AXES)}
+
+
+def bounding_by_mode(record: Record) -> dict[str, dict[str, dict[str, Any]]]:
     """``{mode key: {"at": {...}, "ct": {...}}}`` for the modes that occur, as JSON data."""
     return {
-        mode.key: {axis: asdict(measure_bounding(record.error(axis)[keep], record.pl(axis)[keep])) for axis in AXES}
+        mode.key: bounding_by_axis(*(values[keep] for values in record.by_epoch()))
         for mode in record.modes_present()
-        for keep in [record.mode == mode]
+        for keep in [np.ravel(record.mode == mode)]
     }
 
 

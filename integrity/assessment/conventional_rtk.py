@@ -1,18 +1,16 @@
-"""Double differences of the signals of one epoch, as conventional RTK forms them.
+"""Conventional RTK on double differences, of one epoch and by a Kalman filter: ratio test, and no bound of its risk.
 
-Conventional RTK of one epoch: float solution by code, integer least squares, ratio test, and no bound of its risk.
-
-It is what a common receiver computes with ``ambiguity resolution: instantaneous`` (RTKLIB manual 2.4.2, appendix E.7),
-without a model of motion: assessments compare its failures on simulated signals with recorded ones. Letters: G design
-matrix of double differences, ``y_c = G x + e_c``, ``y_p = G x + lambda N + e_p``; with ``x^ = Q_x G' W y_c``
+That of one epoch (float solution by code, integer least squares) is what a common receiver computes with ``ambiguity
+resolution: instantaneous`` (RTKLIB manual 2.4.2, appendix E.7), without a model of motion: assessments compare its
+failures on simulated signals with recorded ones. Letters: G design matrix of double differences, ``y_c = G x + e_c``,
+``y_p = G x + lambda N + e_p``; with ``x^ = Q_x G' W y_c``
 
     N^ = (y_p - G x^) / lambda,   Q_N = (Q_p + G Q_x G') / lambda^2,   Q_xN = -Q_x G' / lambda,
     x~ = x^ - Q_xN Q_N^-1 (N^ - N).
 
-Conventional RTK as users of RTKLIB run it: a Kalman filter of position and ambiguities, and a ratio test.
-
-States: position, velocity and acceleration (3 each; the position alone without ``dynamics``) and one single-differenced
-ambiguity for each signal with a phase, in metres. Measurements are double differences of codes and phases,
+The Kalman filter of position and ambiguities is conventional RTK as users of RTKLIB run it. States: position, velocity
+and acceleration (3 each; the position alone without ``dynamics``) and one single-differenced ambiguity for each signal
+with a phase, in metres. Measurements are double differences of codes and phases,
 
     y_c = G x + e_c,   y_p = G x + a_j - a_ref + e_p.
 

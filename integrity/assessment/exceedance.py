@@ -1,20 +1,17 @@
-"""Random cases of the measurement model that protection levels assume: geometries and their levels.
+"""Rates of undetected errors above the protection levels, in random cases of the measurement model that levels assume.
 
 A case is the geometry of one epoch: satellites, clocks, standard deviations, bounds of the nominal biases, the biases
 (at their bounds, with the worst signs), and a heading. For each case the levels of several *forms* are computed: the
 exact levels of this package and those printed in the papers, completely and with one printed formula at a time.
 
-Rate of undetected errors above the protection levels, by plain Monte Carlo of the measurement model.
+Plain Monte Carlo: an epoch is *misleading* on an axis if the separation test detects nothing and the error exceeds the
+level. Faults are drawn as assumed by the levels: none, one faulty satellite, two at once, or a wrong fix that the test
+cannot detect. The size of a fault is uniform up to twice the size at the threshold: most faults are harmless or
+detected. The worst sizes are the subject of importance sampling below.
 
-An epoch is *misleading* on an axis if the separation test detects nothing and the error exceeds the level. Faults are
-drawn as assumed by the levels: none, one faulty satellite, two at once, or a wrong fix that the test cannot detect. The
-size of a fault is uniform up to twice the size at the threshold: most faults are harmless or detected. The worst sizes
-are the subject of importance sampling below.
-
-Rates of misleading epochs that are too small for counting: in closed form, and by importance sampling.
-
-Errors and separations of one epoch are independent, because a minimum-variance solution is uncorrelated with its
-residuals. A fault of size ``f`` in satellite k is therefore misleading with the probability
+Rates that are too small for counting, in closed form and by importance sampling: errors and separations of one epoch
+are independent, because a minimum-variance solution is uncorrelated with its residuals. A fault of size ``f`` in
+satellite k is therefore misleading with the probability
 
     P(|x + f g_k| > PL) P(quiet | f) <= P(|x + f g_k| > PL) P(|t_k + f h_k| < threshold),
 

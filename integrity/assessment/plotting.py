@@ -1,8 +1,7 @@
-"""Common style of all figures: a colour-blind safe palette, plain axes, output without a display.
+"""Figures in one style: a colour-blind safe palette, plain axes, output without a display.
 
-The Stanford diagram: protection level against error with the zones of S3 Fig. 4, for each axis.
-
-Figures of errors and protection levels over time by mode (as in S1 Figs. 3-4), and a map coloured by mode.
+The Stanford diagram has level against error with the zones of S3 Fig. 4, for each axis. Others are errors and levels
+over time by mode (as in S1 Figs. 3-4), and a map coloured by mode.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""Input of an assessment: errors, protection levels, modes and alerts of a drive at each epoch.
+"""Input of an assessment (errors, levels, modes and alerts of a drive at each epoch), and its integrity events.
 
-Integrity events of a drive, per epoch and axis (S3 II.C): available, MI, HMI, integrity failure, false alert.
-
-With AL the alert limit and PE the true error: available when ``PL <= AL``; MI when available and ``PL < PE <= AL``;
-HMI when available and ``PE > AL``; integrity failure when ``PE > AL`` has lasted longer than the time to alert without
-any alarm.
+Events are by epoch and axis (S3 II.C): available, MI, HMI, integrity failure, false alert. With AL the alert limit and
+PE the true error: available when ``PL <= AL``; MI when available and ``PL < PE <= AL``; HMI when available and ``PE >
+AL``; integrity failure when ``PE > AL`` has lasted longer than the time to alert without any alarm.
 """
 
 from __future__ import annotations

@@ -4,17 +4,15 @@ With N points: false alarm rate FAR = f / N, missed detection rate MDR = m / N, 
 shares of *all* points: where faults are rare, a monitor that never warns has an OCDR near 1. ``per_right`` and
 ``per_wrong`` are the shares of the points that are right or wrong.
 
-Two applications that trust a matched link: road tolls, and pay-as-you-speed; with and without the monitor.
+Two applications trust a matched link, with and without the monitor: road tolls, and pay-as-you-speed. A toll is due
+once for each passage of a tolled link. A speed charge is due for each second above the limit of the link. Charged is
+what the verdicts say: the matched link, the average Doppler speed; *guarded* charges only where the driver is not
+warned. A wrong charge was not due; a missed one was due and not charged.
 
-A toll is due once for each passage of a tolled link. A speed charge is due for each second above the limit of the link.
-Charged is what the verdicts say: the matched link, the average Doppler speed; *guarded* charges only where the driver
-is not warned. A wrong charge was not due; a missed one was due and not charged.
-
-Power of the speed phase of the context-aware monitor: windows of speeds with one fault each, by Monte Carlo.
-
-Doppler has white noise of the size that its covariance says, wheels have noise, a scale error and the fault. Motion is
-steady, or brakes unevenly within the window. Wheels that are frozen while the car stands show when it drives off: these
-rows are of the whole monitor on a straight road, whose verdict holds at rest.
+The power of the speed phase is by Monte Carlo of windows of speeds with one fault each: Doppler has white noise of the
+size that its covariance says, wheels have noise, a scale error and the fault. Motion is steady, or brakes unevenly
+within the window. Wheels that are frozen while the car stands show when it drives off: these rows are of the whole
+monitor on a straight road, whose verdict holds at rest.
 """
 
 from __future__ import annotations

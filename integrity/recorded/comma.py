@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.source import MAX_BYTES, UNTIMED, Timing, in_order, notes
+from lanebound.integrity.recorded.source import MAX_BYTES, UNTIMED, Timing, in_order, interpolated, notes
 
 __all__ = ["Comma", "ReceiverFixes", "Reference", "Series", "read_comma", "read_rows"]
 
@@ -35,9 +35,7 @@ class Series:
 
     def at(self, time_s: Array) -> Array:
         """Interpolate values (T,) or (T, k) at times (T,): linear between samples, constant beyond them."""
-        if self.value.ndim == 1:
-            return np.interp(time_s, self.time_s, self.value)
-        return np.stack([np.interp(time_s, self.time_s, column) for column in self.value.T], -1)
+        return interpolated(time_s, self.time_s, self.value)
 
     def earlier(self, by_s: float) -> Series:
         """The series with all its times earlier."""

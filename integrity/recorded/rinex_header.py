@@ -1,11 +1,10 @@
-"""Parser of the header of a RINEX 3 observation file (IGS/RTCM RINEX Version 3.04, tables A1-A2).
+"""Header of a RINEX 3 observation file (IGS/RTCM RINEX Version 3.04, tables A1-A2), and RINEX 2 in lines of RINEX 3.
 
-RINEX 2 observation files as lines of RINEX 3 (Gurtner and Estey 2007, RINEX version 2.11, tables A1 and A2).
-
-Version 2 names a signal by observable and frequency alone. GPS: C1 is C/A, P1 and P2 are P(Y), which civil receivers
-track semi-codelessly (W), C2 and the third frequency are civil. The phase of a frequency is that of its C/A or, on L2,
-its P(Y) code, and of the civil code for a satellite without P2. Galileo's components are not named: X. Rows of other
-systems are passed on without codes, so that they are counted as left out.
+Version 2 (Gurtner and Estey 2007, RINEX version 2.11, tables A1 and A2) names a signal by observable and frequency
+alone. GPS: C1 is C/A, P1 and P2 are P(Y), which civil receivers track semi-codelessly (W), C2 and the third frequency
+are civil. The phase of a frequency is that of its C/A or, on L2, its P(Y) code, and of the civil code for a satellite
+without P2. Galileo's components are not named: X. Rows of other systems are passed on without codes, so that they are
+counted as left out.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ IGS/RTCM RINEX Version 3.04, table A3: an epoch line ``> year month day hour min
 one line for each satellite with 16 characters for each observation code: F14.3, loss-of-lock indicator, strength. Times
 are in the time system of the file; files in GLONASS time or UTC are refused because of their leap seconds. Rows of
 systems without a list of codes and a few values that are no numbers are left out and counted. Version 2 is read in the
-form of version 3 (:mod:`.rinex2`).
+form of version 3 (:mod:`.rinex_header`).
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Lines of a text file that may be compressed, truncated, very large or binary, read with bounded time and memory.
+"""What all readers of recordings share: lines of text files, scales of time, and checks of the times of a series.
 
-Leap seconds, and times of week that pass the end of a week.
-
-Times of a recorded series, checked alike by all readers: rows that go back, and gaps.
+A file may be compressed, truncated, very large or binary; it is read with bounded time and memory.
 
 A row that repeats another one, values and all, is left out and counted. So is a row whose time is not later than all
 before it; where a tenth of the rows would be, the file is refused, because it is not sorted or one wrong time is far
@@ -234,6 +232,13 @@ def _gaps(time_s: Array) -> tuple[Array, float]:
     k, rest = np.flatnonzero(long), step[~long]
     missing = 1.0 - usual * rest.size / float(rest.sum()) if rest.size else 0.0
     return np.stack([time_s[k], time_s[k + 1]], -1), missing
+
+
+def interpolated(at_s: Array, time_s: Array, value: Array) -> Array:
+    """Values (N,) or (N, k) of times (N,) at others (T,): linear between samples, constant beyond them."""
+    if value.ndim == 1:
+        return np.interp(at_s, time_s, value)
+    return np.stack([np.interp(at_s, time_s, column) for column in value.T], -1)
 
 
 def notes(*series: tuple[str, Stop | str | None, Timing]) -> dict[str, str]:

@@ -1,22 +1,20 @@
-"""Checks of a recorded pair: whether its files and given positions fit what its codes and its fixed baseline say.
+"""Files of an RTK solution of a recorded pair: positions, levels and statistics, and errors if the truth is known.
 
-Files of an RTK solution of recorded files: positions, levels and statistics, and errors if the truth is known.
+The pair is checked: whether its files and given positions fit what its codes and its fixed baseline say.
 """
 
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import bounding_by_axis, doubt
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import (
     ecef_from_geodetic,
@@ -28,6 +26,7 @@ from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.positioning.modes import Mode, RtkStatus
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations, read_observations
 from lanebound.integrity.recorded.source import finite_number
+from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.baseline import (
     Baseline,
     BaselineConfig,
@@ -289,9 +288,8 @@ def run_baseline(
     }
     if rover_ecef_m is not None:
         summary |= {"rover_from_codes_m": away[1], "fixed_baseline": baseline_fit(solved, rover_ecef_m)}
-    out.mkdir(parents=True, exist_ok=True)
     written = [out / "rtk.json", out / "solution.csv"]
-    written[0].write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_summary(written[0], summary)
     with written[1].open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(HEAD)
@@ -390,7 +388,7 @@ def _errors(solved: Baseline, rover_ecef_m: Array) -> dict[str, Any]:
             "horizontal_max_m": float(np.hypot(*off[:, :2].T).max()),
             "spatial_max_m": float(np.linalg.norm(off, axis=1).max()),
             "mean_enu_m": off.mean(0).tolist(),
-            **{a: asdict(measure_bounding(track[:, q], solved.pl_m[keep, q])) for q, a in enumerate(("at", "ct"))},
+            **bounding_by_axis(track, solved.pl_m[keep]),
         }  # fmt: skip
     return {"errors": out, "doubt": next(filter(None, doubts), None)}
 

@@ -15,7 +15,6 @@ Error models are trained on the first part of a drive and assessed on the rest, 
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,9 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.accuracy import assess, doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import assess, bounding_by_axis, doubt
 from lanebound.integrity.assessment.plotting import map_figure, save, series_figure, stanford_figure
-from lanebound.integrity.assessment.record import AXES, Record
+from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix
@@ -39,6 +38,8 @@ from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.positioning.danish import DanishConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
+from lanebound.integrity.recorded.source import interpolated
+from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.code_epochs import recorded_epochs
 from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, DeadReckonedPath, reckon, turned
 from lanebound.integrity.replay.sensor_checks import check_smartloc
@@ -54,6 +55,7 @@ from lanebound.integrity.replay.window import (
 )
 from lanebound.integrity.sky.orbit import ranges_and_sights
 
+Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
@@ -328,7 +330,7 @@ def _cost(system: WhitenedSystem) -> float:
 def _path_at(path: DeadReckonedPath, time_s: Array) -> Array:
     """East, North, heading and distance of the path at times (T,): (T, 4)."""
     columns = (path.position_m[:, 0], path.position_m[:, 1], path.heading_rad, path.distance_m)
-    return np.stack([np.interp(time_s, path.time_s, column) for column in columns], -1)
+    return interpolated(time_s, path.time_s, np.stack(columns, -1))
 
 
 CAUTION = (
@@ -407,7 +409,7 @@ class CityResult:
 
 def _bounds(record: Record) -> dict[str, Any]:
     """Exceedances of the levels on each axis, over all modes."""
-    return {"all_modes": {a: asdict(measure_bounding(record.error(a), record.pl(a))) for a in AXES}}
+    return {"all_modes": bounding_by_axis(*record.by_epoch())}
 
 
 def replay_city(drive: SmartLoc, config: CityReplay | None = None, progress: Progress = silent) -> CityResult:
@@ -481,10 +483,8 @@ def write_city(
     drive = read_city(folder)
     result = replay_city(drive, config, progress)
     summary = {"dataset": "smartloc", "stopped": drive.notes, **result.summary()}
-    out.mkdir(parents=True, exist_ok=True)
-    written = [out / "replay.json"]
-    written[0].write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    return summary, [*written, *_figures(result, out)]
+    written = write_summary(out / "replay.json", summary)
+    return summary, [written, *_figures(result, out)]
 
 
 def _figures(result: CityResult, out: Path) -> list[Path]:
@@ -510,6 +510,3 @@ def _figures(result: CityResult, out: Path) -> list[Path]:
         truth_en_m=best.frame.local(true)[known, :2],
     )  # fmt: skip
     return [*written, save(figure, out / "map.png")]
-
-
-Array = NDArray[np.float64]

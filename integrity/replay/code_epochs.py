@@ -18,6 +18,7 @@ from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.positioning.code_solution import gauss_newton
 from lanebound.integrity.recorded.smartloc import Odometry, SmartLoc
+from lanebound.integrity.recorded.source import interpolated
 from lanebound.integrity.replay.reckoning import reckon
 from lanebound.integrity.replay.sensor_checks import require_same_times
 from lanebound.integrity.replay.window import LocalFrame
@@ -141,7 +142,7 @@ def _linearised(plain: CodeEpochs, place: Array, range_m: Array, frame: LocalFra
 def reckoned_steps(odometry: Odometry, time_s: Array, fix_en_m: Array) -> tuple[Array, Array]:
     """Displacements (T, 3) between epochs and their deviations (T,), by wheels, gyro, and the heading of past fixes."""
     path = reckon(odometry.time_s, odometry.speed_mps, -odometry.yaw_rate_left_radps)
-    at = np.stack([np.interp(time_s, path.time_s, path.position_m[:, k]) for k in range(2)], -1)
+    at = interpolated(time_s, path.time_s, path.position_m)
     length = np.diff(np.interp(time_s, path.time_s, path.distance_m), prepend=0.0)
     turn, spread = path_headings(time_s, at, fix_en_m)
     own = np.diff(at, axis=0, prepend=at[:1])

@@ -1,18 +1,15 @@
-"""Recorded drives as the context monitor takes them, once in an interval; what a recording lacks is skipped, and named.
+"""The context monitor on a recorded drive, with a map that the user gives: statistics, verdicts, changes of the light.
 
-smartLoc: codes and wheels; no range rates, so that the speed phase is skipped, and the direction is that of wheels and
-gyro, turned to fit the code positions of the last minute. RINEX: codes, and range rates by Doppler or by carriers; no
-wheels. comma2k19: positions and Doppler speeds of the receiver, and wheels; no geometry, so that the position phase is
-skipped. The truth is apart, for an assessment.
-
-The context monitor on a recorded drive with a map that the user gives: the roads near the drive, as matchers take
-them, and statistics, verdicts, changes of the light and a map as files.
+A drive is judged once in an interval; what a recording lacks is skipped, and named. smartLoc: codes and wheels; no
+range rates, so that the speed phase is skipped, and the direction is that of wheels and gyro, turned to fit the code
+positions of the last minute. RINEX: codes, and range rates by Doppler or by carriers; no wheels. comma2k19: positions
+and Doppler speeds of the receiver, and wheels; no geometry, so that the position phase is skipped. The truth is apart,
+for an assessment.
 """
 
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -46,10 +43,13 @@ from lanebound.integrity.positioning.map_matching.map_errors import MapErrorsCon
 from lanebound.integrity.positioning.map_matching.matching import MatchingConfig
 from lanebound.integrity.positioning.map_matching.road_map import NO_LINK, RoadMap
 from lanebound.integrity.recorded.comma import Comma, read_comma
-from lanebound.integrity.recorded.road_file import RoadLine, RoadLines, read_roads
+from lanebound.integrity.recorded.road_file import RoadLines, read_roads
 from lanebound.integrity.recorded.smartloc import Odometry
+from lanebound.integrity.recorded.source import interpolated
+from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.code_epochs import reckoned_steps
 from lanebound.integrity.replay.differences import carrier_rates
+from lanebound.integrity.replay.reckoning import integral
 from lanebound.integrity.replay.sensor_checks import aligned_comma
 from lanebound.integrity.replay.service_drive import read_service_epochs
 from lanebound.integrity.replay.service_epochs import ServiceEpochs
@@ -67,6 +67,20 @@ NO_GEOMETRY = "positions of the receiver come without their geometry, so that th
 NO_WHEELS = "the recording has no wheels: MASE is compared with the printed standard error, which only asks for N >= 9"
 BY_WHEELS = "the map phase compares with the speed by wheels; the direction is that of wheels and gyro"
 MEAN_RATES = "range rates are changes of carriers between epochs, which are means over that time"
+SAME_DEG = 1e-7  # 1 cm: vertices that are written alike are one
+TRUTH = MatchingConfig(radius_m=30.0, candidates=16, sigma_m=3.0)
+"""The reference on the map: its error, the half width of a road and the error of a digitised map."""
+PHASES = ("position", "speed", "map")
+HEAD = (
+    "time_s", "light", "reason", "phases", "score", "link", "road", "link_probability", "hpl_m", "east_m", "north_m",
+    "speed_mps", "error_m", "true_road", "right",
+)  # fmt: skip
+CHANGES = ("time_s", "light", "reason", "phases", "score", "link_probability", "road")
+COLOURS = {Light.GREEN: "#1a9850", Light.AMBER: "#f59f00", Light.RED: "#d73027"}
+CAUTION = (
+    "right: on the road of the map on which the reference drives (its likeliest sequence of roads). A map drawn from "
+    "the reference itself says nothing of how often a matched road is wrong. One drive is one drive"
+)
 
 
 class ContextReplayConfig(ContextConfig):
@@ -184,8 +198,7 @@ def _rates(e: ServiceEpochs, config: CodeErrorsConfig, used: Bools, codes: CodeF
 
 def _distances(o: Odometry, time_s: Array) -> Array:
     """Distance driven at times (E,), by wheels [m]."""
-    driven = np.concatenate([[0.0], np.cumsum(0.5 * (o.speed_mps[1:] + o.speed_mps[:-1]) * np.diff(o.time_s))])
-    return np.asarray(np.interp(time_s, o.time_s, driven))
+    return np.asarray(np.interp(time_s, o.time_s, integral(o.time_s, o.speed_mps)))
 
 
 def _means(time_s: Array, distance_m: Array) -> Array:
@@ -232,12 +245,9 @@ def _of_receiver(segment: Comma, config: ContextReplayConfig) -> ContextEpochs:
         ),
         position=PositionTest(none, np.zeros(at.size), none, there, there),
         skipped={"position": NO_GEOMETRY}, notes=("SDOP is that of a declared error of the receiver's speed",),
-        truth_en_m=np.stack([np.interp(time, r.time_s, truth[:, k]) for k in range(2)], -1),
+        truth_en_m=interpolated(time, r.time_s, truth[:, :2]),
         known=(time >= r.time_s[0] - FRESH_S) & (time <= r.time_s[-1] + FRESH_S) & ~segment.bridged(time),
     )  # fmt: skip
-
-
-SAME_DEG = 1e-7  # 1 cm: vertices that are written alike are one
 
 
 @dataclass(frozen=True)
@@ -260,28 +270,28 @@ def network_near(roads: RoadLines, frame: LocalFrame, track_en_m: Array, within_
     """
     vertices = np.concatenate([line.lon_lat_deg for line in roads.lines])
     keys, of = np.unique(np.rint(vertices / SAME_DEG).astype(np.int64), axis=0, return_inverse=True)
-    place, length = (
-        _plane(np.asarray(keys * SAME_DEG, np.float64), frame),
-        [len(line.lon_lat_deg) for line in roads.lines],
-    )
-    paths = [path[np.diff(path, prepend=-1) != 0] for path in np.split(of.ravel(), np.cumsum(length)[:-1])]
+    place = _plane(np.asarray(keys * SAME_DEG, np.float64), frame)
+    cuts = np.cumsum([len(line.lon_lat_deg) for line in roads.lines])[:-1]
+    paths = [path[np.diff(path, prepend=-1) != 0] for path in np.split(of.ravel(), cuts)]
     node = _is_node(paths, len(keys))
-    ends: list[tuple[int, int]] = []
-    lines: list[Array] = []
-    limits: list[float] = []
-    names: list[str] = []
-    for line, path in zip(roads.lines, paths, strict=True):
-        for piece in _pieces(path, node):
-            if _is_near(place[piece], track_en_m, within_m):
-                _add(line, piece, place, ends, lines, limits, names)
-    if not ends:
+    links = [
+        (line, way)
+        for line, path in zip(roads.lines, paths, strict=True)
+        for first, last in pairwise(np.flatnonzero(node[path]))
+        if _is_near(place[piece := path[first : last + 1]], track_en_m, within_m)
+        for exists, way in ((line.along, piece), (line.against, piece[::-1]))
+        if exists
+    ]
+    if not links:
         raise InputError(
             f"the map must have a road within {within_m:g} m of the drive, the nearest is "
             f"{_distance(place, track_en_m) / 1000.0:.1f} km away: give a map of its area"
         )
-    used, renumbered = np.unique(np.array(ends), return_inverse=True)
+    used, renumbered = np.unique([(way[0], way[-1]) for _, way in links], return_inverse=True)
     pairs = [(int(a), int(b)) for a, b in renumbered.reshape(-1, 2)]
-    return RoadNetwork(RoadMap.of_lines(place[used], pairs, lines, limit_mps=limits), tuple(names))
+    limits = [line.limit_mps for line, _ in links]
+    road_map = RoadMap.of_lines(place[used], pairs, [place[way] for _, way in links], limit_mps=limits)
+    return RoadNetwork(road_map, tuple(line.name for line, _ in links))
 
 
 def _plane(lon_lat_deg: Array, frame: LocalFrame) -> Array:
@@ -299,24 +309,6 @@ def _is_node(paths: list[Ints], count: int) -> NDArray[np.bool_]:
     return np.asarray(node)
 
 
-def _pieces(path: Ints, node: NDArray[np.bool_]) -> list[Ints]:
-    """A line of places cut at nodes."""
-    return [path[a : b + 1] for a, b in pairwise(np.flatnonzero(node[path]))]
-
-
-def _add(
-    line: RoadLine, piece: Ints, place: Array, ends: list[tuple[int, int]], lines: list[Array], limits: list[float],
-    names: list[str],
-) -> None:  # fmt: skip
-    """Add the links of a piece in the directions that exist."""
-    for exists, way in ((line.along, piece), (line.against, piece[::-1])):
-        if exists:
-            ends.append((int(way[0]), int(way[-1])))
-            lines.append(place[way])
-            limits.append(line.limit_mps)
-            names.append(line.name)
-
-
 def _is_near(line: Array, track: Array, within_m: float) -> bool:
     """Whether a line (P, 2) comes within a distance of a track, to a tenth of it."""
     low, high = line.min(0) - within_m, line.max(0) + within_m
@@ -326,7 +318,7 @@ def _is_near(line: Array, track: Array, within_m: float) -> bool:
     step = np.hypot(*np.diff(line, axis=0).T)
     arc = np.concatenate([[0.0], np.cumsum(step)])
     at = np.linspace(0.0, arc[-1], 2 + int(arc[-1] / (0.2 * within_m)))
-    points = np.stack([np.interp(at, arc, column) for column in line.T], -1)
+    points = interpolated(at, arc, line)
     return any(bool((np.square(points - here).sum(-1) <= within_m**2).any()) for here in some)
 
 
@@ -335,17 +327,116 @@ def _distance(place: Array, track: Array) -> float:
     return float(min(np.hypot(*(place - here).T).min() for here in track))
 
 
-PHASES = ("position", "speed", "map")
-HEAD = (
-    "time_s", "light", "reason", "phases", "score", "link", "road", "link_probability", "hpl_m", "east_m", "north_m",
-    "speed_mps", "error_m", "true_road", "right",
-)  # fmt: skip
-CHANGES = ("time_s", "light", "reason", "phases", "score", "link_probability", "road")
-COLOURS = {Light.GREEN: "#1a9850", Light.AMBER: "#f59f00", Light.RED: "#d73027"}
-CAUTION = (
-    "right: on the road of the map on which the reference drives (its likeliest sequence of roads). A map drawn from "
-    "the reference itself says nothing of how often a matched road is wrong. One drive is one drive"
-)
+@dataclass(frozen=True)
+class ReplayedContext:
+    """Verdicts of E epochs.
+
+    network : the map of the file; the monitor has it with the configured errors
+    warn, light, reason, phases, link (E,); score, probability, level_m (E,)
+    true_link : (E,) link of the file's map on which the reference drives, NO_LINK where it is on none
+    right : (E,) the matched road is that one, in either direction, or the neighbour at a node
+    """
+
+    config: ContextReplayConfig
+    epochs: ContextEpochs
+    network: RoadNetwork
+    warn: Bools
+    light: Ints
+    reason: Ints
+    phases: Ints
+    link: Ints
+    score: Array
+    probability: Array
+    level_m: Array
+    true_link: Ints
+    right: Bools
+
+    @property
+    def judged(self) -> Bools:
+        """Epochs (E,) with a position and a reference that is on a road of the map."""
+        return np.asarray(self.epochs.known & (self.true_link != NO_LINK) & self.epochs.fix.located)
+
+    def counts(self, warn: Bools) -> WarningCounts:
+        """Counts of warnings (E,) of the judged epochs."""
+        return WarningCounts.of(warn, ~self.right, self.judged)
+
+    def errors_m(self) -> Array:
+        """Horizontal errors (N,) of the positions at epochs with a reference."""
+        keep = self.epochs.known & self.epochs.fix.located
+        return np.asarray(np.hypot(*(self.epochs.fix.position_en_m - self.epochs.truth_en_m)[keep].T))
+
+
+def drive_context(
+    epochs: ContextEpochs, roads: RoadLines, config: ContextReplayConfig, progress: Progress = silent
+) -> ReplayedContext:
+    """Judge all epochs; ``progress`` is called with the number of epochs done and the total number.
+
+    Raises
+    ------
+    InputError
+        No road of the map is near the positions.
+    """
+    track = epochs.fix.position_en_m[epochs.fix.located]
+    network = network_near(roads, epochs.frame, track, config.within_m)
+    road_map = with_errors(network.road_map, config.map_errors, named_generator(config.map_seed, "map"))
+    own = config if epochs.has_wheels else config.replace(speed={"form": SpeedForm.PRINTED.value})
+    monitor = ContextMonitor(own, road_map, 1, config.interval_s)
+    verdicts = list[ContextVerdict]()
+    for k in range(epochs.time_s.size):
+        row, monitor.dt_s = slice(k, k + 1), _interval(epochs, k, config)
+        speed = None if epochs.distance_m is None else _speed_by_wheels(epochs, epochs.distance_m, k, config)
+        verdicts.append(monitor.step(epochs.fix.rows(row), epochs.wheel_mps[row], epochs.position.rows(row), speed))
+        progress(k + 1, epochs.time_s.size)
+    return _gathered(config, epochs, network, verdicts)
+
+
+def _interval(epochs: ContextEpochs, k: int, config: ContextReplayConfig) -> float:
+    """Time since the epoch before [s]."""
+    return float(epochs.time_s[k] - epochs.time_s[k - 1]) if k else config.interval_s
+
+
+def _speed_by_wheels(epochs: ContextEpochs, distance_m: Array, k: int, config: ContextReplayConfig) -> SpeedTest:
+    """In place of the second phase: the mean speed by wheels over its time, known with a direction of motion."""
+    first = max(k - config.speed.intervals, 0)
+    time = epochs.time_s[k] - epochs.time_s[first]
+    mean = abs(float(distance_m[k] - distance_m[first])) / time if time > 0.0 else abs(float(epochs.wheel_mps[k]))
+    known = epochs.fix.has_velocity[k : k + 1] & (k >= config.speed.intervals)
+    wheels = np.abs(epochs.wheel_mps[k : k + 1])
+    return SpeedTest(wheels > config.speed.least_mps, known, known, np.array([mean]), np.zeros(1, np.bool_), wheels)
+
+
+def _gathered(
+    config: ContextReplayConfig, epochs: ContextEpochs, network: RoadNetwork, verdicts: list[ContextVerdict]
+) -> ReplayedContext:
+    def all_of(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(verdict, name) for verdict in verdicts])
+
+    link = all_of("link")
+    true = _true_links(epochs, network.road_map)
+    return ReplayedContext(
+        config, epochs, network, warn=all_of("warn"), light=all_of("light"), reason=all_of("reason"),
+        phases=all_of("phases"), link=link, score=all_of("score"),
+        probability=np.concatenate([v.match.probability for v in verdicts]), level_m=epochs.position.level_m,
+        true_link=true, right=_right(network.road_map, link, true, epochs.truth_en_m, config.node_m),
+    )  # fmt: skip
+
+
+def _true_links(epochs: ContextEpochs, road_map: RoadMap) -> Ints:
+    """Links (E,) of the reference: its likeliest sequence on the map, all epochs at once."""
+    out, keep = np.full(epochs.time_s.size, NO_LINK), np.flatnonzero(epochs.known)
+    if keep.size:
+        out[keep] = viterbi(road_map, epochs.truth_en_m[keep], TRUTH).link
+    return out
+
+
+def _right(road_map: RoadMap, link: Ints, true: Ints, truth_en_m: Array, node_m: float) -> Bools:
+    """Whether links (E,) are on the road of the true ones, or on one that meets it within ``node_m``."""
+    a, b = np.maximum(link, 0), np.maximum(true, 0)
+    same = (a == b) | (road_map.twin[a] == b)
+    for node in (road_map.link_from[b], road_map.link_to[b]):
+        close = np.hypot(*(road_map.node_en_m[node] - truth_en_m).T) <= node_m
+        same |= close & ((road_map.link_from[a] == node) | (road_map.link_to[a] == node))
+    return np.asarray(same & (link != NO_LINK) & (true != NO_LINK))
 
 
 def write_context(
@@ -374,9 +465,8 @@ def write_context(
         "left_out": {"features that are no lines": lines.others, "ways without cars": lines.without_cars,
                      "malformed ways": lines.malformed, "speed limits, taken as 50 km/h": lines.limits},
     }  # fmt: skip
-    out.mkdir(parents=True, exist_ok=True)
     written = [out / name for name in ("context.json", "context.csv", "warnings.csv")]
-    written[0].write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_summary(written[0], summary)
     rows = _rows(drive)
     _write(written[1], HEAD, rows)
     _write(written[2], CHANGES, [row for k, row in enumerate(rows) if k == 0 or _differ(row, rows[k - 1])])
@@ -495,119 +585,3 @@ def _draw(drive: ReplayedContext, path: Path) -> Path:
     axes.set_aspect("equal")
     legend(axes)
     return save(figure, path)
-
-
-TRUTH = MatchingConfig(radius_m=30.0, candidates=16, sigma_m=3.0)
-"""The reference on the map: its error, the half width of a road and the error of a digitised map."""
-
-
-@dataclass(frozen=True)
-class ReplayedContext:
-    """Verdicts of E epochs.
-
-    network : the map of the file; the monitor has it with the configured errors
-    warn, light, reason, phases, link (E,); score, probability, level_m (E,)
-    true_link : (E,) link of the file's map on which the reference drives, NO_LINK where it is on none
-    right : (E,) the matched road is that one, in either direction, or the neighbour at a node
-    """
-
-    config: ContextReplayConfig
-    epochs: ContextEpochs
-    network: RoadNetwork
-    warn: Bools
-    light: Ints
-    reason: Ints
-    phases: Ints
-    link: Ints
-    score: Array
-    probability: Array
-    level_m: Array
-    true_link: Ints
-    right: Bools
-
-    @property
-    def judged(self) -> Bools:
-        """Epochs (E,) with a position and a reference that is on a road of the map."""
-        return np.asarray(self.epochs.known & (self.true_link != NO_LINK) & self.epochs.fix.located)
-
-    def counts(self, warn: Bools) -> WarningCounts:
-        """Counts of warnings (E,) of the judged epochs."""
-        return WarningCounts.of(warn, ~self.right, self.judged)
-
-    def errors_m(self) -> Array:
-        """Horizontal errors (N,) of the positions at epochs with a reference."""
-        keep = self.epochs.known & self.epochs.fix.located
-        return np.asarray(np.hypot(*(self.epochs.fix.position_en_m - self.epochs.truth_en_m)[keep].T))
-
-
-def drive_context(
-    epochs: ContextEpochs, roads: RoadLines, config: ContextReplayConfig, progress: Progress = silent
-) -> ReplayedContext:
-    """Judge all epochs; ``progress`` is called with the number of epochs done and the total number.
-
-    Raises
-    ------
-    InputError
-        No road of the map is near the positions.
-    """
-    track = epochs.fix.position_en_m[epochs.fix.located]
-    network = network_near(roads, epochs.frame, track, config.within_m)
-    road_map = with_errors(network.road_map, config.map_errors, named_generator(config.map_seed, "map"))
-    own = config if epochs.has_wheels else config.replace(speed={"form": SpeedForm.PRINTED.value})
-    monitor = ContextMonitor(own, road_map, 1, config.interval_s)
-    verdicts = list[ContextVerdict]()
-    for k in range(epochs.time_s.size):
-        row, monitor.dt_s = slice(k, k + 1), _interval(epochs, k, config)
-        speed = None if epochs.distance_m is None else _speed_by_wheels(epochs, epochs.distance_m, k, config)
-        verdicts.append(monitor.step(epochs.fix.rows(row), epochs.wheel_mps[row], epochs.position.rows(row), speed))
-        progress(k + 1, epochs.time_s.size)
-    return _gathered(config, epochs, network, verdicts)
-
-
-def _interval(epochs: ContextEpochs, k: int, config: ContextReplayConfig) -> float:
-    """Time since the epoch before [s]."""
-    return float(epochs.time_s[k] - epochs.time_s[k - 1]) if k else config.interval_s
-
-
-def _speed_by_wheels(epochs: ContextEpochs, distance_m: Array, k: int, config: ContextReplayConfig) -> SpeedTest:
-    """In place of the second phase: the mean speed by wheels over its time, known with a direction of motion."""
-    first = max(k - config.speed.intervals, 0)
-    time = epochs.time_s[k] - epochs.time_s[first]
-    mean = abs(float(distance_m[k] - distance_m[first])) / time if time > 0.0 else abs(float(epochs.wheel_mps[k]))
-    known = epochs.fix.has_velocity[k : k + 1] & (k >= config.speed.intervals)
-    wheels = np.abs(epochs.wheel_mps[k : k + 1])
-    return SpeedTest(wheels > config.speed.least_mps, known, known, np.array([mean]), np.zeros(1, np.bool_), wheels)
-
-
-def _gathered(
-    config: ContextReplayConfig, epochs: ContextEpochs, network: RoadNetwork, verdicts: list[ContextVerdict]
-) -> ReplayedContext:
-    def all_of(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(verdict, name) for verdict in verdicts])
-
-    link = all_of("link")
-    true = _true_links(epochs, network.road_map)
-    return ReplayedContext(
-        config, epochs, network, warn=all_of("warn"), light=all_of("light"), reason=all_of("reason"),
-        phases=all_of("phases"), link=link, score=all_of("score"),
-        probability=np.concatenate([v.match.probability for v in verdicts]), level_m=epochs.position.level_m,
-        true_link=true, right=_right(network.road_map, link, true, epochs.truth_en_m, config.node_m),
-    )  # fmt: skip
-
-
-def _true_links(epochs: ContextEpochs, road_map: RoadMap) -> Ints:
-    """Links (E,) of the reference: its likeliest sequence on the map, all epochs at once."""
-    out, keep = np.full(epochs.time_s.size, NO_LINK), np.flatnonzero(epochs.known)
-    if keep.size:
-        out[keep] = viterbi(road_map, epochs.truth_en_m[keep], TRUTH).link
-    return out
-
-
-def _right(road_map: RoadMap, link: Ints, true: Ints, truth_en_m: Array, node_m: float) -> Bools:
-    """Whether links (E,) are on the road of the true ones, or on one that meets it within ``node_m``."""
-    a, b = np.maximum(link, 0), np.maximum(true, 0)
-    same = (a == b) | (road_map.twin[a] == b)
-    for node in (road_map.link_from[b], road_map.link_to[b]):
-        close = np.hypot(*(road_map.node_en_m[node] - truth_en_m).T) <= node_m
-        same |= close & ((road_map.link_from[a] == node) | (road_map.link_to[a] == node))
-    return np.asarray(same & (link != NO_LINK) & (true != NO_LINK))

@@ -1,9 +1,7 @@
-"""The files of a RINEX pair in a folder: which receiver is the rover, which the base, and the navigation.
+"""Replay of a folder with a recorded data set: its kind, and in a RINEX pair the rover, the base and the navigation.
 
 Files are recognized by their first line. Two observation files are distinguished by their names (``rover``, ``rov``,
 ``mobile``; ``base``, ``ref``, ``station``) and otherwise by their positions: the receiver that moves is the rover.
-
-Replay of a folder with a recorded data set, whose kind is detected from its files.
 """
 
 from __future__ import annotations

@@ -1,13 +1,11 @@
-"""Single differences of two receivers, reduced to position and clock terms.
+"""Single differences of two receivers, and range rates of one, reduced to terms of position, velocity and clock.
 
 For each receiver and satellite ``u = P - |s - x| + c dt_s - T`` with the satellite position s at transmission from its
 broadcast message, rotated with the Earth, and the troposphere T. The difference of rover and base, linearized at a
 nominal position ``x_0`` of the rover and with the base as origin, is ``y = -e.x + clock (+ lambda N)``.
 
-Range rates of a recorded receiver, less the motion of satellites and their clocks: ``y = -e.v + drift`` [m/s].
-
-From the receiver's Doppler observables, or, where it records none, from the changes of its carriers between epochs,
-which are the mean rates over that time.
+Range rates are ``y = -e.v + drift`` [m/s], less the motion of satellites and their clocks: from Doppler observables,
+or, where a receiver records none, from the changes of its carriers between epochs, the mean rates over that time.
 """
 
 from __future__ import annotations

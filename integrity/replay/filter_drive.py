@@ -7,16 +7,15 @@ lacks is switched off and named. The heading is not given: it is found by the Do
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import bounding_by_axis, doubt
 from lanebound.integrity.assessment.plotting import save, series_figure
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.core.config import Config, Field, deep_merge
@@ -38,6 +37,8 @@ from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_head
 from lanebound.integrity.positioning.filters.code_position import CodePosition, CodeSource, locate_by_codes
 from lanebound.integrity.recorded.comma import Comma, read_comma
 from lanebound.integrity.recorded.smartloc import SmartLoc
+from lanebound.integrity.recorded.source import interpolated
+from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import path_headings, recorded_epochs
 from lanebound.integrity.replay.outages import averaged
@@ -49,7 +50,9 @@ from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sensors.odometer import OdometerSample
 from lanebound.integrity.sky.view import SkyView
 
+Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+
 WIDEST_RAD = np.deg2rad(10.0)  # deviation of a path's heading that begins a filter
 AFTER_GAP_S = 10.0  # after a gap of the sensors errors are not judged
 FRESH_S = 0.15  # age of a receiver's position that counts for an epoch; they come at 10 Hz
@@ -168,7 +171,7 @@ def comma_sensors(segment: Comma, config: FilterReplayConfig, dt_s: float = 0.1)
         at - start, dt_s, turn, segment.speed.at(at),
         _receiver_fix(config, place[newest] + age[:, None] * velocity[newest], velocity[newest], age <= FRESH_S),
         np.zeros(at.size), np.full(at.size, np.inf),
-        np.stack([np.interp(at, r.time_s, truth[:, k]) for k in range(2)], -1),
+        interpolated(at, r.time_s, truth[:, :2]),
         ~segment.bridged(at, dt_s, AFTER_GAP_S),
         ("positions and velocities of the receiver", "yaw gyro", "speed of the wheels"),
         ("codes with ephemerides, so positions have no geometry and no test of residuals",
@@ -201,7 +204,7 @@ def smartloc_sensors(drive: SmartLoc, config: FilterReplayConfig) -> SensorDrive
     path = reckon(o.time_s, o.speed_mps, -o.yaw_rate_left_radps)
     heading = np.interp(e.time_s, path.time_s, path.heading_rad)
     fix = locate_by_codes(c.position.codes, _measurements(e.time_s, e))
-    at = np.stack([np.interp(e.time_s, path.time_s, path.position_m[:, k]) for k in range(2)], -1)
+    at = interpolated(e.time_s, path.time_s, path.position_m)
     turn, spread = _path_courses(e.time_s, at, fix)
     return SensorDrive(
         e.time_s - e.time_s[0], dt_s, np.diff(heading, prepend=heading[0]),
@@ -273,8 +276,6 @@ def _gathered(c: FilterConfig, sensors: SensorDrive, found: Sequence[tuple[Recor
     return FilterDrive(c, sensors, **values)
 
 
-Array = NDArray[np.float64]
-
 CAUTION = "epochs of one drive are not independent: the exact intervals are too narrow"
 
 
@@ -304,9 +305,7 @@ def write_filter(
     found = {"dataset": "filter", "recording": kind, "navigator": navigator, "stopped": notes}
     found["agreement"] = {name: of.figures() for name, of in agreement.items()}
     found |= filter_summary(drive, config)
-    out.mkdir(parents=True, exist_ok=True)
-    summary = out / "replay.json"
-    summary.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    summary = write_summary(out / "replay.json", found)
     figure = series_figure(_record(drive, 1), risk=config.risks[0])
     return found, [summary, save(figure, out / "series.png")]
 
@@ -342,10 +341,7 @@ def filter_summary(drive: FilterDrive, config: FilterReplayConfig) -> dict[str, 
             "exceeded": int((off[levelled] > drive.trust_m[levelled]).sum()),
         },
         "levels": {
-            f"{risk:g}": {
-                axis: asdict(measure_bounding(np.abs(error[levelled, q]), drive.levels_m[levelled, 1 + k, q]))
-                for q, axis in enumerate(("at", "ct"))
-            }
+            f"{risk:g}": bounding_by_axis(error[levelled], drive.levels_m[levelled, 1 + k])
             for k, risk in enumerate(config.risks)
             if levelled.any()
         },

@@ -13,10 +13,9 @@ outage, less the acceleration of the solution there: slope and bias of the accel
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
@@ -32,14 +30,14 @@ from lanebound.integrity.core.frames import (
     ecef_from_geodetic,
     enu_axes,
     geodetic_from_ecef,
-    track_from_enu_matrix,
 )
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.imu_log import G_MPS2, ImuLog, levelled, read_imu_log
 from lanebound.integrity.recorded.rtklib import RtkSolution, read_rtk_solution
-from lanebound.integrity.recorded.source import UNTIMED, notes
-from lanebound.integrity.replay.outages import OutageErrors, averaged, by_age, drift_figure
-from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, reckon, turned
+from lanebound.integrity.recorded.source import UNTIMED, interpolated, notes
+from lanebound.integrity.replay import write_summary
+from lanebound.integrity.replay.outages import OutageErrors, averaged, drift_figure, errors_on_track, levels_from_fix
+from lanebound.integrity.replay.reckoning import BridgeConfig, integral, reckon, turned
 from lanebound.integrity.replay.sensor_checks import (
     ACCELERATION,
     CLEARLY,
@@ -149,7 +147,7 @@ def motion_of_log(log: ImuLog, track: RtkSolution, config: ImuOutageConfig) -> t
     forward = c * force[:, 0] + s * force[:, 1]
     others = [_rates(replace(log, rate_radps=other), config) for other in _other_gyros(log.rate_radps)]
     pitched, *mirrored = (
-        _integral(at, c * sensed(by[:, 1], lag) - s * sensed(by[:, 0], lag)) for by in (rates, *others)
+        integral(at, c * sensed(by[:, 1], lag) - s * sensed(by[:, 0], lag)) for by in (rates, *others)
     )
     pushes = require_agreement(ACCELERATION, "g", "the log", ahead[part], forward[part], seconds)
     climbs = _slopes_agree(track, at, speed, [pitched, *mirrored], part, config)
@@ -242,11 +240,6 @@ def _rates(log: ImuLog, config: ImuOutageConfig) -> Array:
     return np.asarray(rates - rates[rest].mean(0))
 
 
-def _integral(time_s: Array, rate: Array) -> Array:
-    """Integral from the first time on by trapezoids.  (T,)."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time_s))])
-
-
 def _slopes_agree(
     track: RtkSolution, at: Array, speed: Array, pitches: list[Array], part: NDArray[np.int64],
     config: ImuOutageConfig,
@@ -299,7 +292,7 @@ def _reference(track: RtkSolution, at: Array) -> tuple[Array, Array, Array, Bool
     """Position (T, 2), speed, track, whether they are usable and whether they are in no gap (T,), at times; the track
     holds while at rest."""
     enu = (track.position_ecef_m - track.position_ecef_m[0]) @ enu_axes(track.position_ecef_m[0])
-    place = np.stack([np.interp(at, track.gps_time_s, enu[:, k]) for k in range(2)], -1)
+    place = interpolated(at, track.gps_time_s, enu[:, :2])
     assert track.velocity_neu_mps is not None
     north, east = (np.interp(at, track.gps_time_s, track.velocity_neu_mps[:, k]) for k in range(2))
     speed = np.hypot(east, north)
@@ -433,8 +426,7 @@ def run_inertial_outages(motion: InertialMotion, config: ImuOutageConfig) -> Out
         path = reckon(motion.time_s[part], reached, motion.yaw_rate_radps[part])
         estimated[i] = motion.position_m[s] + turned(path.position_m[1:], float(motion.track_rad[s]))
         heading[i], speed[i] = motion.track_rad[s] + path.heading_rad[1:], reached[1:]
-    off = estimated - motion.position_m[starts[:, None] + np.arange(1, n + 1)]
-    error = (track_from_enu_matrix(heading) @ off[..., None])[..., 0]
+    error = errors_on_track(motion.position_m, starts, estimated, heading)
     age = np.asarray((np.arange(n) + 1.0) / config.rate_hz, dtype=np.float64)
     levels = _levels(speed, heading, age, config)
     left_out = moving.size - starts.size
@@ -446,7 +438,7 @@ def _speed(motion: InertialMotion, s: int, n: int, before: int) -> Array:
     window = slice(s - before, s + n + 1)
     time = motion.time_s[window]
     felt = motion.force_mps2[window] - G_MPS2 * (motion.pitch_rad[window] - motion.pitch_rad[s])
-    gained = np.concatenate([[0.0], np.cumsum(0.5 * (felt[1:] + felt[:-1]) * np.diff(time))])
+    gained = integral(time, felt)
     true = motion.true_speed_mps[window]
     slope = (gained[before] - (true[before] - true[0])) / (time[before] - time[0])
     return np.asarray(true[before] + gained[before:] - gained[before] - slope * (time[before:] - time[before]))
@@ -458,16 +450,14 @@ def _levels(speed_mps: Array, heading_rad: Array, age_s: Array, config: ImuOutag
     The speed's error is at most ``b t + g d t^2 / 2``, of either sign at any time; its parts along and across the
     present heading add up with their magnitudes.
     """
-    fix = np.broadcast_to(np.eye(2) * config.fix_sigma_m**2, (len(speed_mps), 2, 2))
-    sigma = np.full((len(speed_mps), 2), config.fix_sigma_m)
-    bridge = Bridge(config.bridge, config.risk, fix, np.zeros_like(sigma), sigma, heading_rad[:, 0])
-    dt, levels = 1.0 / config.rate_hz, np.zeros((*speed_mps.shape, 2))
+    dt = 1.0 / config.rate_hz
+    levels = levels_from_fix(config.bridge, config.risk, config.fix_sigma_m, dt, speed_mps, heading_rad)
     drift = G_MPS2 * math.radians(config.pitch_drift_degps)
     grown = (config.acceleration_bias_mps2 + 0.5 * drift * age_s) * age_s
     for k in range(age_s.size):
         turn = heading_rad[:, : k + 1] - heading_rad[:, k : k + 1]
         box = np.abs(np.stack([np.cos(turn), np.sin(turn)], -1)) * grown[: k + 1, None]
-        levels[:, k] = bridge.step(dt, speed_mps[:, k], heading_rad[:, k])[0] + dt * box.sum(1)
+        levels[:, k] += dt * box.sum(1)
     return levels
 
 
@@ -504,24 +494,14 @@ def write_imu_outages(
     ages = (*(age for age in AGES_S if age < config.longest_s), config.longest_s)
     figures = {
         "dataset": "imu_log", "caution": CAUTION, "files": [path.name, solution.name],
-        "risk": config.risk.integrity_risk, "rate_hz": log.rate_hz,
-        "doubt": doubt(config.risk.integrity_risk, outages.error_m, outages.pl_m, "outages"),
+        "rate_hz": log.rate_hz, **outages.figures(config.risk.integrity_risk, ages),
         "agreement": calibration.pop("agreement"), "calibration": calibration,
-        "outages": len(outages.start_s), "left_out_at_gaps": outages.left_out,
-        "speed_mps": [float(v) for v in np.quantile(outages.speed_mps, [0.0, 0.5, 1.0])],
-        "by_age": by_age(outages, ages),
-        "all_ages": {
-            axis: asdict(measure_bounding(outages.error_m[..., q], outages.pl_m[..., q]))
-            for q, axis in enumerate(("at", "ct"))
-        },
         "stopped": notes(
             (path.name, log.stopped, log.timing), (tag.name, log.tags, UNTIMED),
             (solution.name, "; ".join(filter(None, (str(track.stopped or ""), _unused(track)))), track.timing),
         ),
     }  # fmt: skip
-    out.mkdir(parents=True, exist_ok=True)
-    summary = out / "replay.json"
-    summary.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    summary = write_summary(out / "replay.json", figures)
     return figures, [summary, save(drift_figure(outages, config.risk.integrity_risk), out / "drift.png")]
 
 

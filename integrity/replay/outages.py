@@ -7,16 +7,15 @@ from the level of a fix (:mod:`lanebound.integrity.monitoring.dead_reckoning_pl`
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import bounding_by_axis, doubt
 from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_figure, risk_text, save, tidy
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
@@ -24,12 +23,15 @@ from lanebound.integrity.core.frames import enu_axes, track_from_enu_matrix
 from lanebound.integrity.monitoring.dead_reckoning_pl import missed_detection_factors
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.comma import Comma, read_comma
-from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, reckon, turned
+from lanebound.integrity.recorded.source import interpolated
+from lanebound.integrity.replay import write_summary
+from lanebound.integrity.replay.reckoning import Bridge, BridgeConfig, integral, reckon, turned
 from lanebound.integrity.replay.sensor_checks import aligned_comma
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
@@ -84,6 +86,15 @@ class OutageErrors:
     start_s: Array
     left_out: int = 0
 
+    def figures(self, risk: float, ages_s: tuple[float, ...]) -> dict[str, Any]:
+        """Statistics as JSON data, of all ages and of some."""
+        return {
+            "risk": risk, "doubt": doubt(risk, self.error_m, self.pl_m, "outages"),
+            "outages": len(self.start_s), "left_out_at_gaps": self.left_out,
+            "speed_mps": [float(v) for v in np.quantile(self.speed_mps, [0.0, 0.5, 1.0])],
+            "by_age": by_age(self, ages_s), "all_ages": bounding_by_axis(self.error_m, self.pl_m),
+        }  # fmt: skip
+
 
 def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, float]]:
     """Resample reference and sensors to common times, and calibrate with the first ``calibration_s`` only.
@@ -105,8 +116,8 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
     axes = enu_axes(r.position_ecef_m[0])
     enu, velocity = (r.position_ecef_m - r.position_ecef_m[0]) @ axes, r.velocity_ecef_mps @ axes
     at = start + time
-    place = np.stack([np.interp(at, r.time_s, enu[:, k]) for k in range(2)], -1)
-    moving = np.stack([np.interp(at, r.time_s, velocity[:, k]) for k in range(2)], -1)
+    place = interpolated(at, r.time_s, enu[:, :2])
+    moving = interpolated(at, r.time_s, velocity[:, :2])
     rate = averaged(segment.rotation_rate.time_s, segment.rotation_rate.value[:, AXES_OF_GYRO], at, config.rate_hz)
     speed = np.hypot(*moving.T)
     # the rear axle moves in the direction of the heading, the reference point at an angle to it
@@ -125,8 +136,7 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
 
 def averaged(time_s: Array, value: Array, at_s: Array, rate_hz: float) -> Array:
     """Mean of a signal over an interval around each time, computed as slope of the integral."""
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time_s))])
-    half = 0.5 / rate_hz
+    total, half = integral(time_s, value), 0.5 / rate_hz
     low, high = np.maximum(at_s - half, time_s[0]), np.minimum(at_s + half, time_s[-1])
     return np.asarray((np.interp(high, time_s, total) - np.interp(low, time_s, total)) / np.maximum(high - low, 1e-6))
 
@@ -197,20 +207,26 @@ def _dead_reckoned(
         initial = float(motion.track_rad[s] + heading_error[i])
         estimated[i] = motion.position_m[s] + turned(path.position_m[1:], initial)
         heading[i] = initial + path.heading_rad[1:]
-    epochs = starts[:, None] + np.arange(1, n + 1)
-    off = estimated - motion.position_m[epochs]
-    error = (track_from_enu_matrix(heading) @ off[..., None])[..., 0]
-    return error, _levels(motion.speed_mps[epochs], heading, config)
+    speed = motion.speed_mps[starts[:, None] + np.arange(1, n + 1)]
+    levels = levels_from_fix(config.bridge, config.risk, config.fix_sigma_m, 1.0 / config.rate_hz, speed, heading)
+    return errors_on_track(motion.position_m, starts, estimated, heading), levels
 
 
-def _levels(speed_mps: Array, heading_rad: Array, config: OutageConfig) -> Array:
+def errors_on_track(position_m: Array, starts: Ints, estimated_m: Array, heading_rad: Array) -> Array:
+    """Errors (N, n, 2) along and across the track of what is estimated after epochs ``starts`` (N,) of positions."""
+    off = estimated_m - position_m[starts[:, None] + np.arange(1, estimated_m.shape[1] + 1)]
+    return np.asarray((track_from_enu_matrix(heading_rad) @ off[..., None])[..., 0])
+
+
+def levels_from_fix(
+    bridge: BridgeConfig, risk: RiskConfig, fix_sigma_m: float, dt_s: float, speed_mps: Array, heading_rad: Array
+) -> Array:
     """Levels (N, n, 2) [m] of outages with speeds and headings (N, n)."""
-    fix = np.broadcast_to(np.eye(2) * config.fix_sigma_m**2, (len(speed_mps), 2, 2))
-    sigma = np.full((len(speed_mps), 2), config.fix_sigma_m)
-    bridge = Bridge(config.bridge, config.risk, fix, np.zeros_like(sigma), sigma, heading_rad[:, 0])
-    dt = 1.0 / config.rate_hz
+    fix = np.broadcast_to(np.eye(2) * fix_sigma_m**2, (len(speed_mps), 2, 2))
+    sigma = np.full((len(speed_mps), 2), fix_sigma_m)
+    grown = Bridge(bridge, risk, fix, np.zeros_like(sigma), sigma, heading_rad[:, 0])
     steps = zip(speed_mps.T, heading_rad.T, strict=True)
-    return np.stack([bridge.step(dt, speed, heading)[0] for speed, heading in steps], 1)
+    return np.stack([grown.step(dt_s, speed, heading)[0] for speed, heading in steps], 1)
 
 
 def sawtooth(motion: Motion, config: OutageConfig, fixed_s: float = 5.0) -> dict[str, Array]:
@@ -244,7 +260,7 @@ S1_HEADING_DEG = math.degrees(math.asin(S1_DRIFT_M / (S1_SPEED_MPS * S1_AGE_S)))
 CAUTION = "outages overlap and are from one minute of one drive: the exact intervals are too narrow"
 
 
-def by_age(outages: OutageErrors, ages_s: tuple[float, ...] = AGES_S) -> list[dict[str, Any]]:
+def by_age(outages: OutageErrors, ages_s: tuple[float, ...]) -> list[dict[str, Any]]:
     """Errors, levels and exceedances at some ages as JSON data."""
     rows = []
     for age in ages_s:
@@ -275,12 +291,8 @@ def _against_s1(motion: Motion, config: OutageConfig) -> dict[str, Any]:
         "ratio_median": float(np.median(reached / expected)),
         "ratio_5_95": [float(v) for v in np.quantile(reached / expected, [0.05, 0.95])],
         "ct_median_at_the_end_m": float(np.median(last)),
-        "exceeded": {axis: asdict(_bounded(outages, q)) for q, axis in enumerate(("at", "ct"))},
+        "exceeded": bounding_by_axis(outages.error_m, outages.pl_m),
     }  # fmt: skip
-
-
-def _bounded(outages: OutageErrors, q: int) -> Any:
-    return measure_bounding(outages.error_m[..., q], outages.pl_m[..., q])
 
 
 def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -> tuple[dict[str, Any], list[Path]]:
@@ -296,18 +308,12 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
     motion, calibration = motion_of(segment, config)
     outages = run_outages(motion, config)
     figures = {
-        "dataset": "comma2k19", "caution": CAUTION,
-        "risk": config.risk.integrity_risk, "calibration": calibration,
-        "doubt": doubt(config.risk.integrity_risk, outages.error_m, outages.pl_m, "outages"),
-        "agreement": {name: found.figures() for name, found in agreement.items()},
-        "outages": len(outages.start_s), "left_out_at_gaps": outages.left_out, "stopped": segment.notes,
-        "speed_mps": [float(v) for v in np.quantile(outages.speed_mps, [0.0, 0.5, 1.0])], "by_age": by_age(outages),
-        "all_ages": {axis: asdict(_bounded(outages, q)) for q, axis in enumerate(("at", "ct"))},
+        "dataset": "comma2k19", "caution": CAUTION, "calibration": calibration,
+        **outages.figures(config.risk.integrity_risk, AGES_S),
+        "agreement": {name: found.figures() for name, found in agreement.items()}, "stopped": segment.notes,
         "with_heading_error_of_s1": _against_s1(motion, config),
     }  # fmt: skip
-    out.mkdir(parents=True, exist_ok=True)
-    summary = out / "replay.json"
-    summary.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    summary = write_summary(out / "replay.json", figures)
     drift = save(drift_figure(outages, config.risk.integrity_risk), out / "drift.png")
     return figures, [summary, drift, save(_sawtooth_figure(motion, config), out / "sawtooth.png")]
 
@@ -338,6 +344,3 @@ def _sawtooth_figure(motion: Motion, config: OutageConfig) -> Figure:
         tidy(axes, xlabel="time (s)", ylabel=f"{name} (m)")
         legend(axes, loc="upper left")
     return figure
-
-
-Array = NDArray[np.float64]

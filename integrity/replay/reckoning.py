@@ -52,6 +52,11 @@ def reckon(time_s: Array, speed_mps: Array, yaw_rate_radps: Array, axle_m: float
     return DeadReckonedPath(time_s, heading, position, np.concatenate([[0.0], np.cumsum(np.abs(run))]))
 
 
+def integral(time_s: Array, rate: Array) -> Array:
+    """Integral of a rate from the first time on by trapezoids.  (T,)."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time_s))])
+
+
 def turned(offset_m: Array, angle_rad: float) -> Array:
     """Rotate offsets (..., 2) clockwise by an angle, which increases the headings of a path by this angle."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)

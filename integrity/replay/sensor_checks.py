@@ -1,11 +1,9 @@
-"""Sensors of a recorded drive against its reference, alike for all recordings: unit, sign, axis and lag.
+"""Sensors of comma2k19 and smartLoc against the reference of the recording: unit, sign, axis, lag, position.
 
 The sensed value is regressed on the reference's, which has errors of its own. They pull the slope towards 0, so that
 the true one lies between the slope and slope / correlation^2 (Frisch 1934, "Statistical confluence analysis"). A slope
 that cannot be near 1 is a unit or a sign; a strong motion that the sensor does not follow is another axis or drive. A
 drive with too little motion proves nothing, which the result says. Windows show what only a part of a drive has.
-
-The sensors of comma2k19 and smartLoc against the reference of the recording: unit, sign, axis, lag, position.
 """
 
 from __future__ import annotations
@@ -23,6 +21,8 @@ from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geod
 from lanebound.integrity.recorded.comma import Comma
 from lanebound.integrity.recorded.imu_log import G_MPS2
 from lanebound.integrity.recorded.smartloc import SmartLoc
+from lanebound.integrity.recorded.source import interpolated
+from lanebound.integrity.replay.reckoning import integral
 
 Array = NDArray[np.float64]
 
@@ -275,7 +275,7 @@ def require_same_times(where: str, time_s: Array, place_m: Array, true_s: Array,
         inside = (at >= true_s[0]) & (at <= true_s[-1])
         if 2 * inside.sum() < time_s.size:
             return math.inf
-        there = np.stack([np.interp(at[inside], true_s, column) for column in true_m.T], -1)
+        there = interpolated(at[inside], true_s, true_m)
         return float(np.median(np.linalg.norm(there - place_m[inside], axis=-1)))
 
     now, found = away_m(0.0), np.array([away_m(float(lag)) for lag in lags])
@@ -310,15 +310,11 @@ class _Reference:
     def __init__(self, time_s: Array, place_m: Array) -> None:
         start, end = float(time_s[0]) + MEAN_S, float(time_s[-1]) - MEAN_S
         self.time_s = np.arange(start, end, EVERY_S)
-        ahead, behind = (self._at(time_s, place_m, self.time_s + side * 0.5 * MEAN_S) for side in (1.0, -1.0))
+        ahead, behind = (interpolated(self.time_s + side * 0.5 * MEAN_S, time_s, place_m) for side in (1.0, -1.0))
         self.velocity_mps = (ahead - behind) / MEAN_S
         self.speed_mps = np.hypot(*self.velocity_mps.T)
         self.course_rad = np.unwrap(np.arctan2(self.velocity_mps[:, 0], self.velocity_mps[:, 1]))
         self.moving = with_rate(self.speed_mps > MOVING_MPS)
-
-    @staticmethod
-    def _at(time_s: Array, place_m: Array, at_s: Array) -> Array:
-        return np.stack([np.interp(at_s, time_s, column) for column in place_m.T], -1)
 
     def rate(self, value: Array) -> Array:
         """Change of a value (T,) with time."""
@@ -358,7 +354,7 @@ class _Reference:
 
 def _means(time_s: Array, value: Array, at_s: Array) -> Callable[[float], Array]:
     """Means of a series over MEAN_S around times (T,) plus a lag."""
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time_s))])
+    total = integral(time_s, value)
 
     def mean(lag_s: float) -> Array:
         low, high = (np.interp(at_s + lag_s + side * 0.5 * MEAN_S, time_s, total) for side in (-1.0, 1.0))
@@ -465,7 +461,7 @@ def _check_fixes(segment: Comma, motion: _Reference, place: Array, axes: Array, 
     if not inside.any():
         return Agreement(1.0, 0.0, False)
     time = f.time_s[inside]
-    true = np.stack([np.interp(time, r.time_s, column) for column in place.T], -1)
+    true = interpolated(time, r.time_s, place)
 
     def local(latitude: Array, longitude: Array) -> Array:
         ecef = ecef_from_geodetic(latitude, longitude, np.full(f.time_s.size, height))

@@ -13,18 +13,17 @@ compare the odometer with, so that its watch is off: wheels count as healthy.
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.assessment.accuracy import doubt, measure_bounding
+from lanebound.integrity.assessment.accuracy import bounding_by_axis, doubt
 from lanebound.integrity.assessment.plotting import save, series_figure
-from lanebound.integrity.assessment.record import AXES, Record
+from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.core.progress import Progress, silent
@@ -34,12 +33,14 @@ from lanebound.integrity.navigators.rtk_reckoning.navigator import RtkReckoningN
 from lanebound.integrity.navigators.services.table import SERVICES, declared_of, service_named
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.rinex_observation import read_observations
+from lanebound.integrity.recorded.source import interpolated
+from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.baseline import require_one_site, solve_baseline
 from lanebound.integrity.replay.baseline_report import read_coordinates
 from lanebound.integrity.replay.city import read_city
 from lanebound.integrity.replay.code_epochs import WINDOW_S, fit_heading
 from lanebound.integrity.replay.datasets import find_pair, navigation_files, observation_files
-from lanebound.integrity.replay.reckoning import BridgeConfig, reckon
+from lanebound.integrity.replay.reckoning import BridgeConfig, integral, reckon
 from lanebound.integrity.replay.service_epochs import ServiceEpochs, epochs_of_drive, epochs_of_receiver
 from lanebound.integrity.sensors.augmentation import Corrections
 from lanebound.integrity.sensors.gnss import GnssEpoch
@@ -51,6 +52,7 @@ from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SkyMask
 
+Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 NO_DOPPLER_DBHZ = 99.0  # lowest C/N0 of range rates, where a recording has none
@@ -264,10 +266,10 @@ class _Run:
         path = reckon(o.time_s, o.speed_mps, -o.yaw_rate_left_radps)
         now = edge_s[1:]
         heading = np.interp(edge_s, path.time_s, path.heading_rad)
-        distance = np.interp(edge_s, path.time_s, np.concatenate([[0.0], np.cumsum(_runs(o.time_s, o.speed_mps))]))
+        distance = np.interp(edge_s, path.time_s, integral(o.time_s, o.speed_mps))
         self.turn, self.speed = np.diff(heading), np.diff(distance) / self.config.dt_s
         self.path_heading = heading[1:]
-        self.way = np.stack([np.interp(now, path.time_s, path.position_m[:, k]) for k in range(2)], -1)
+        self.way = interpolated(now, path.time_s, path.position_m)
 
     def advance(self, n: int, k: int, out: ServiceDrive) -> None:
         """One tick: measurements of recorded epoch k (-1: none), solution, and the heading for the next tick."""
@@ -339,14 +341,6 @@ class _Run:
         return {"dgps": found}
 
 
-def _runs(time_s: Array, speed_mps: Array) -> Array:
-    """Signed distances between samples (M - 1,) [m]."""
-    return np.asarray(0.5 * (speed_mps[1:] + speed_mps[:-1]) * np.diff(time_s))
-
-
-Array = NDArray[np.float64]
-
-
 SMARTLOC_DT_S = 0.1  # its epochs are 0.2 and 0.3 s apart
 HEAD = (
     "time_s", "mode", "status", "east_m", "north_m", "heading_rad", "pl_at_m", "pl_ct_m", "alert", "error_e_m",
@@ -385,9 +379,8 @@ def write_service(
         "dataset": "service", "recording": kind, "service": list(config.service), "stopped": stopped,
         **summarise_service(drive),
     }  # fmt: skip
-    out.mkdir(parents=True, exist_ok=True)
     written = [out / "service.json", out / "service.csv"]
-    written[0].write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_summary(written[0], summary)
     _write_rows(drive, written[1])
     if drive.judged.any():
         limits = config.alert.limits
@@ -484,7 +477,7 @@ def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
     if level.any():  # without one there is nothing to exceed
         error, pl = record.by_epoch()
         figures["doubt"] = doubt(drive.config.risk.integrity_risk, error[level], pl[level], "epochs")
-        figures |= {axis: asdict(measure_bounding(record.error(axis)[level], record.pl(axis)[level])) for axis in AXES}
+        figures |= bounding_by_axis(error[level], pl[level])
     return found | figures
 
 

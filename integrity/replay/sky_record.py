@@ -17,6 +17,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import enu_axes
 from lanebound.integrity.recorded.sky_recording import SkyRecording
 from lanebound.integrity.recorded.smartloc import GroundTruth, Pseudoranges, SmartLoc
+from lanebound.integrity.recorded.source import interpolated
 from lanebound.integrity.replay.training import code_errors
 from lanebound.integrity.sky.visibility import SignalPath
 
@@ -100,11 +101,8 @@ def _way(truth: GroundTruth, time_s: Array) -> tuple[Array, Array, Array]:
     moved = np.concatenate([[True], step > 0.0])
     local = (path - path[0]) @ axes
     arc = np.interp(time_s, truth.time_s, driven)
-
-    def at(place: Array) -> Array:
-        return np.stack([np.interp(place, driven[moved], local[moved, k]) for k in range(2)], -1)
-
-    ahead = at(arc + TANGENT_M) - at(arc - TANGENT_M)
+    late, early = (interpolated(arc + by, driven[moved], local[moved]) for by in (TANGENT_M, -TANGENT_M))
+    ahead = late - early
     return truth.at(time_s)[0], arc - arc[0], np.arctan2(ahead[:, 0], ahead[:, 1])
 
 

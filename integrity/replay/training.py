@@ -1,4 +1,4 @@
-"""Gaussian overbounds of code errors, fitted to recorded errors in classes of C/N0, with a free centre.
+"""Gaussian overbounds of the code errors of the training part of a drive, in classes of C/N0, with a free centre.
 
 A reflected signal is always delayed; its errors lie between a few metres below zero and a hundred metres above. In each
 class of C/N0 the bound is the normal distribution ``N(mu, s^2)`` with the smallest s that bounds the empirical tails,
@@ -7,8 +7,6 @@ class of C/N0 the bound is the normal distribution ``N(mu, s^2)`` with the small
 
 (two-sided overbounding of the distribution function as in DeCleene 2000, ION GPS, with a free centre). The centre is
 subtracted from the measurement.
-
-Code errors of the training part of a drive with known truth, to which the error bounds are fitted.
 """
 
 from __future__ import annotations

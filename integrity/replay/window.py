@@ -6,9 +6,8 @@ the position ``p = p_now + (1 + kappa) R(psi) (X - X_now)`` on the path and equa
 ``|s - p| + c + c' a + c'' a^2 / 2 + offset + mu(C/N0)``.
 
 Errors of one satellite are correlated in time (:class:`ErrorCourse`), errors of different satellites are independent.
-Outliers
-get less weight (Danish method). The rows of each satellite are then condensed to a few independent rows, which form a
-fault mode.
+Outliers get less weight (Danish method). The rows of each satellite are then condensed to a few independent rows, which
+form a fault mode.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def short(monkeypatch):
     monkeypatch.setitem(filter_scenarios.SCENARIOS, "6", trial)
     kind = "spoofing, step of 25 m"
     monkeypatch.setattr(filters, "FAULTS", {kind: filter_scenarios.FAULTS[kind]})
-    for name, value in (("WARM_UP_S", 4.0), ("FAULT_S", 6.0), ("AFTER_S", 1.0)):
+    for name, value in (("WARM_UP_S", 4.0), ("FAULT_S", 6.0), ("FAULT_AFTER_S", 1.0)):
         monkeypatch.setattr(filter_scenarios, name, value)
 
 

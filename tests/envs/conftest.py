@@ -1,6 +1,7 @@
 """Fixtures of environments.
 
-highway-env's own intersection rewrites the class that drives there: after each test it is as before."""
+highway-env's own intersection rewrites the class that drives there: after each test it is as before.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
 """The figures that a filter declares, computed from its configuration without the code of the product: bounds, priors,
-factors of lasting errors, thresholds."""
+factors of lasting errors, thresholds.
+"""
 
 from __future__ import annotations
 

@@ -129,6 +129,15 @@ def test_streets_differ_and_do_not_cross_themselves() -> None:
         assert road.length_m > 1700.0
 
 
+def test_what_is_given_of_the_navigator_stands_before_the_instruments_of_a_sky() -> None:
+    def scale(given: dict[str, Any]) -> float:
+        config = loop.InTheLoopConfig.load({"navigator": {"positioning": {"dead_reckoning": given}}})
+        return config.navigator_in("urban").positioning.dead_reckoning.odometer_scale
+
+    assert scale({}) == scale({"odometer_bias_mps": 0.0}) == 0.027, "that of urban"
+    assert scale({"odometer_scale": 0.0}) == 0.0
+
+
 def test_a_wrong_sky_is_named() -> None:
     with pytest.raises(ConfigError, match="lunar"):
         next(drive_street(StreetDrivesConfig(skies=("lunar",)), "lunar", 0))
