@@ -26,6 +26,7 @@ from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.first_episodes import first_episodes
 from lanebound.envs import make_config
 from lanebound.envs.costs import CAUSES
+from lanebound.integrity.core.angles_kernel import ROUNDING_M
 from lanebound.integrity.core.config import Config, Field, deep_merge
 
 __all__ = ["SECTIONS", "GuidanceConfig", "assess_guidance", "tables"]
@@ -130,7 +131,7 @@ def _of_case(config: GuidanceConfig, name: str, advance: Advance) -> dict[str, A
         },
         "level_m": _finite(np.quantile(level, [0.5, 0.95], method="inverted_cdf")),
         "error_m": np.quantile(error, [0.5, 0.95, 1.0]).tolist(),
-        "beyond": int(np.count_nonzero(error > level)),
+        "beyond": int(np.count_nonzero(error > level + ROUNDING_M)),
         "decisions": int(level.size),
     }
 
