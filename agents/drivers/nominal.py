@@ -42,7 +42,8 @@ class PassingSteering:
         return self.law(observation, side * self.reader.value(observation, "ego.lane_width"))
 
 
-END_M = 20.0  # of a lane that ends, before which a car waits for a gap; four lengths of it, chosen
+END_M = 100.0  # before the end of a lane a car that leaves it is slow, to find a gap; half of a slip lane, chosen
+CRAWL_MPS = 5.0  # so slow: a car that stands changes no lane, chosen
 ROUTE_MPS2 = 100.0  # gain of the lane that the way to a goal asks for: more than any acceleration
 META_MPS2, META_S = 3.0, 0.25
 """Acceleration and response by which meta-actions start: highway-env's control covers 8.6 m in 2.5 s, 20 m in 4.5 s."""
@@ -81,14 +82,15 @@ class Nominal(Plan):
         return self._targets_mps[np.maximum(np.searchsorted(self._targets_mps, wanted_mps + 1e-6, side="right") - 1, 0)]
 
     def free_speed(self, observation: Observation) -> Array:
-        """Speed without other vehicles [m/s]; on a lane that ends and is to be left, so that the car stops before."""
+        """Speed without other vehicles [m/s]; on a lane that ends and is to be left, slow enough to let others pass."""
         free = super().wanted_speed(observation)
         if not self.reader.config.roads:
             return free
         left = self.reader.value(observation, "road.lane_end")
         room = np.where(left < self.reader.scale("road.lane_end"), np.maximum(left - END_M, 0.0), np.inf)
         leaves = self.reader.value(observation, "road.route_shift") != 0.0
-        return np.where(leaves, np.minimum(free, np.sqrt(2.0 * self.config.brake_mps2 * room)), free)
+        slow = np.maximum(np.sqrt(2.0 * self.config.brake_mps2 * room), CRAWL_MPS)
+        return np.where(leaves, np.minimum(free, slow), free)
 
     def widening(self, observation: Observation) -> Array | float:
         """Widening of each crossing vehicle for uncertain positions [m]."""

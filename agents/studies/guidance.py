@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.benchmark.episode import allotted_s
-from lanebound.agents.benchmark.statistics import estimate
+from lanebound.agents.benchmark.statistics import difference, estimate
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
@@ -26,6 +26,7 @@ from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.limits import first_episodes
 from lanebound.envs import make_config
 from lanebound.envs.costs import CAUSES
+from lanebound.integrity.core.angles_kernel import ROUNDING_M
 from lanebound.integrity.core.config import Config, Field, deep_merge
 
 __all__ = ["SECTIONS", "GuidanceConfig", "assess_guidance", "tables"]
@@ -130,7 +131,7 @@ def _of_case(config: GuidanceConfig, name: str, advance: Advance) -> dict[str, A
         },
         "level_m": _finite(np.quantile(level, [0.5, 0.95], method="inverted_cdf")),
         "error_m": np.quantile(error, [0.5, 0.95, 1.0]).tolist(),
-        "beyond": int(np.count_nonzero(error > level)),
+        "beyond": int(np.count_nonzero(error > level + ROUNDING_M)),
         "decisions": int(level.size),
     }
 
@@ -146,13 +147,16 @@ def tables(found: Mapping[str, Any]) -> dict[str, Table]:
 
 
 def _outcomes(found: Mapping[str, Any]) -> Table:
-    rows = []
+    rows, reference = [], found["config"]["drivers"][0]
+    first = {part["navigator"]: part["cost"] for part in found["cases"].values() if part["driver"] == reference}
     for part in found["cases"].values():
         ends = f"{sum(part['success']):.0f} of {len(part['success'])}"
         causes = [f"{np.mean(part['causes'][cause]):.2g}" for cause in SHOWN]
         counts = (f"{sum(part['lost']):.0f}", f"{sum(part['crashed']):.0f}", f"{np.mean(part['time_s']):.0f}")
-        rows.append((part["navigator"], f"`{part['driver']}`", ends, *counts, _mean(part["cost"]), *causes))
-    heads = ("navigator", "driver", "success", "lost", "crashed", "time [s]", "cost, 95 % interval", *SHOWN)
+        saved = "-" if part["driver"] == reference else _change(part["cost"], first[part["navigator"]])
+        rows.append((part["navigator"], f"`{part['driver']}`", ends, *counts, _mean(part["cost"]), saved, *causes))
+    heads = ("navigator", "driver", "success", "lost", "crashed", "time [s]", "cost, 95 % interval",
+             f"less that of `{reference}`", *SHOWN)  # fmt: skip
     return heads, rows
 
 
@@ -163,11 +167,17 @@ def _positions(found: Mapping[str, Any]) -> Table:
             continue
         level = " / ".join("none" if value is None else f"{value:.3g}" for value in part["level_m"])
         error = " / ".join(f"{value:.2g}" for value in part["error_m"])
-        shares = [f"{100.0 * np.mean(part[key]):.2g}" for key in ("available", "wrong_road", "hmi_share")]
+        shares = [f"{100.0 * np.mean(part[key]):.3g}" for key in ("available", "wrong_road", "hmi_share")]
         rows.append((part["navigator"], level, error, f"{part['beyond']} of {part['decisions']}", *shares))
     heads = ("navigator", "PL across, 50 / 95 % [m]", "error across, 50 / 95 / 100 % [m]", "error beyond PL",
              "available [%]", "wrong road [%]", "HMI [%]")  # fmt: skip
     return heads, rows
+
+
+def _change(ours: list[float], theirs: list[float]) -> str:
+    """A mean difference with its interval, seed by seed."""
+    found = difference(np.array(ours), np.array(theirs), "lower")
+    return f"{found.difference:.2g}" + ("" if found.low is None else f" ({found.low:.2g} to {found.high:.2g})")
 
 
 def _mean(values: list[float]) -> str:

@@ -24,9 +24,8 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.streams_kernel import uniform
 
-__all__ = ["body_of", "is_off_road", "look_at_lane", "match", "open_eye"]
+__all__ = ["beside_m", "body_of", "look_at_lane", "match", "open_eye"]
 
-OFF_ROAD_M = 1.0  # beside the pavement of the believed road; the error of the map and of the camera is less
 TINY = 1e-300  # the logarithm of 0 is none
 
 
@@ -120,9 +119,9 @@ def match(ego, lanes, rules):  # type: ignore[no-untyped-def]
         m = of_side(lanes, n, side)
         s, r, direction = local(lanes, m, b.x_m, b.y_m)
         misfit = abs(r - eye.lateral_m) + max(s - table[m].length_m, 0.0, -s)
-        misfit += abs(wrap(b.heading_rad - direction - eye.angle_rad)) - (
-            rules.lane_sensor.switch_m if n == cam.road else 0.0
-        )
+        misfit += abs(wrap(b.heading_rad - direction - eye.angle_rad))
+        if n == cam.road:
+            misfit -= rules.lane_sensor.switch_m
         if misfit < least:
             best, least = n, misfit
         n += table[n].count
@@ -154,9 +153,9 @@ def _survey(b, road, side, lanes):  # type: ignore[no-untyped-def]
     while n < table.shape[0]:
         lane = table[n]
         if n != road:
-            s, r, direction = local(lanes, n, b.x_m, b.y_m)
+            s, _, direction = local(lanes, n, b.x_m, b.y_m)
             limit = lane.speed_limit_mps if lane.speed_limit_mps > 0.0 else math.inf
-            away = _beside_m(lanes, n, s, r, b)
+            away = max(beside_m(lanes, n, b.x_m, b.y_m), 0.0)
             along = max(s - lane.length_m, -s, 0.0)
             same_way = abs(wrap(b.heading_rad - direction)) < 0.5 * math.pi
             if same_way and along == 0.0 and away < b.other_road_m:
@@ -169,19 +168,9 @@ def _survey(b, road, side, lanes):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _beside_m(lanes, road, s, r, b):  # type: ignore[no-untyped-def]
-    """How far the navigator's position is across from the pavement of a road, 0 on it; (s, r): on its left lane."""
+def beside_m(lanes, road, x, y):  # type: ignore[no-untyped-def]
+    """How far a point is across from the pavement of a road or its straight extension, negative on it."""
     last = road + lanes.table[road].count - 1
-    s_last, right, _ = local(lanes, last, b.x_m, b.y_m)
-    left = -r - 0.5 * width_at(lanes, road, s)
-    return max(left, right - 0.5 * width_at(lanes, last, s_last), 0.0)
-
-
-@jit(borrows=True)
-def is_off_road(lanes, road, x, y):  # type: ignore[no-untyped-def]
-    """Whether a true car at a point is beside a road that it is believed on, or beside its straight extension."""
-    last = road + lanes.table[road].count - 1
-    s, r, _ = local(lanes, road, x, y)
+    s, left, _ = local(lanes, road, x, y)
     s_last, right, _ = local(lanes, last, x, y)
-    left = -r - 0.5 * width_at(lanes, road, s)
-    return max(left, right - 0.5 * width_at(lanes, last, s_last)) > OFF_ROAD_M
+    return max(-left - 0.5 * width_at(lanes, road, s), right - 0.5 * width_at(lanes, last, s_last))

@@ -18,7 +18,7 @@ import math
 
 from lanebound.envs.batch.closure_kernel import closed_ahead
 from lanebound.envs.batch.costs_kernel import price
-from lanebound.envs.batch.lane_sensor_kernel import is_off_road
+from lanebound.envs.batch.lane_sensor_kernel import beside_m
 from lanebound.envs.batch.lanes_kernel import CIRCLE, STRAIGHT, advised, ends, local, straight, width_at
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import ROUNDING_M, remainder, wrap
@@ -28,6 +28,7 @@ __all__ = ["count_epoch", "score"]
 CREEP_MPS = 0.5  # driving backwards more slowly is no wrong way
 CENTRE_SCALE_M = 0.5  # offset at which the credit for the middle of the lane is halved
 COMFORT_MPS2 = 2.0  # ISO 2631-1: uncomfortable from 1.25 to 2.5 m/s2
+BESIDE_M = 1.0  # of the pavement, from which a car is on another road; more than what a map is wrong by
 FOLLOWING_S = 4.0  # a vehicle nearer than so long at the limit is followed; twice the usual time gap
 
 
@@ -145,7 +146,7 @@ def _is_elsewhere(lanes, road, car):  # type: ignore[no-untyped-def]
     for k in range(lanes.table[road].joint_first, lanes.table[road].joint_last):
         if lanes.joints[k].road == own:
             return False
-    return own != road and is_off_road(lanes, road, car.x, car.y)
+    return own != road and beside_m(lanes, road, car.x, car.y) > BESIDE_M
 
 
 @jit(inline=True)
