@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.envs.batch.closure_kernel import NOT_BESIDE
 from lanebound.envs.batch.records_kernel import PERCEIVED
 from lanebound.integrity.core.records import Records
 
@@ -23,6 +24,7 @@ __all__ = ["EgoBelief", "LaneIndex", "Traffic", "azimuth_of", "enu_of", "xy_of"]
 Array = NDArray[np.float64]
 LaneIndex = tuple[str, str, int]
 FLIP = np.array([1.0, -1.0])
+FLAGS = ("alert", "available", "context_warning", "closure")  # fields of BELIEF that are true or false
 Angle = TypeVar("Angle", float, NDArray[np.float64])
 
 
@@ -62,6 +64,8 @@ class EgoBelief:
     model_curved, nis_position, nis_wheels, nis_gyro, nis_steering, nis_slip, nis_compass, trust_m, sdop : as in
         Solution
     permitted_mps : speed permitted by ``cost.alert_speed: level``; of no meaning without it
+    closure : whether a lane of the road is known to close; closure_side : its number less that of the own lane
+    closure_start_m, closure_end_m, closure_limit_mps : distances to it and its limit; inf where none is known
     """
 
     time_s: float
@@ -109,6 +113,11 @@ class EgoBelief:
     context_score: float = 0.0
     link_probability: float = 0.0
     permitted_mps: float = np.inf
+    closure: bool = False
+    closure_side: int = NOT_BESIDE
+    closure_start_m: float = np.inf
+    closure_end_m: float = np.inf
+    closure_limit_mps: float = np.inf
 
     @classmethod
     def of(cls, beliefs: Records, row: int, table: LaneTable) -> EgoBelief:
@@ -116,7 +125,7 @@ class EgoBelief:
         values: dict[str, Any] = dict(zip(beliefs.dtype.names or (), beliefs[row].item(), strict=True))
         position = np.array([values.pop("x_m"), values.pop("y_m")])
         lane, target = table.index[values.pop("lane")], table.index[values.pop("target_lane")]
-        flags = {name: bool(values.pop(name)) for name in ("alert", "available", "context_warning")}
+        flags = {name: bool(values.pop(name)) for name in FLAGS}
         del values["path"]
         return cls(position_m=position, lane_index=lane, target_lane_index=target, **flags, **values)
 
