@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.envs.batch.closure_kernel import NOT_BESIDE
 from lanebound.envs.batch.records_kernel import PERCEIVED
 from lanebound.integrity.core.records import Records
 
@@ -23,6 +24,8 @@ __all__ = ["EgoBelief", "LaneIndex", "Traffic", "azimuth_of", "enu_of", "xy_of"]
 Array = NDArray[np.float64]
 LaneIndex = tuple[str, str, int]
 FLIP = np.array([1.0, -1.0])
+FLAGS = ("alert", "available", "context_warning", "roads_agree", "lane_seen", "closure")
+"""Fields of BELIEF that are true or false."""
 Angle = TypeVar("Angle", float, NDArray[np.float64])
 
 
@@ -122,7 +125,7 @@ class EgoBelief:
     lane_seen: bool = True
     route_shift: int = 0
     closure: bool = False
-    closure_side: int = 0
+    closure_side: int = NOT_BESIDE
     closure_start_m: float = np.inf
     closure_end_m: float = np.inf
     closure_limit_mps: float = np.inf
@@ -134,10 +137,7 @@ class EgoBelief:
         position = np.array([values.pop("x_m"), values.pop("y_m")])
         fix = np.array([values.pop("fix_x_m"), values.pop("fix_y_m")])
         lane, target = table.index[values.pop("lane")], table.index[values.pop("target_lane")]
-        flags = {
-            name: bool(values.pop(name))
-            for name in ("alert", "available", "context_warning", "roads_agree", "lane_seen", "closure")
-        }
+        flags = {name: bool(values.pop(name)) for name in FLAGS}
         del values["path"]
         return cls(
             position_m=position, fix_position_m=fix, lane_index=lane, target_lane_index=target, **flags, **values

@@ -21,12 +21,13 @@ TABLE = "static.json"
 class StaticTable(TypedDict):
     """The table.
 
-    ``environments`` are rows as ``lanebound envs`` lists them, ``info`` the meanings of its entries, ``skies`` and
-    ``faults`` the names of levels. In ``keys`` a configuration is a mapping of its keys, a text the bounds of a number
-    (``"gt 0, le 1"``), and null what has keys of its own.
+    ``environments`` are rows as ``lanebound envs`` lists them, ``more`` the other ids of ours, ``info`` the meanings of
+    its entries, ``skies`` and ``faults`` the names of levels. In ``keys`` a configuration is a mapping of its keys, a
+    text the bounds of a number (``"gt 0, le 1"``), and null what has keys of its own.
     """
 
     environments: list[dict[str, Any]]
+    more: list[str]
     info: dict[str, str]
     skies: list[str]
     faults: list[str]
@@ -201,7 +202,8 @@ def _require_env(name: str) -> None:
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.core.presets import nearest
 
-    ids = [row["id"].partition("/")[2] for row in static_table()["environments"]]
+    table = static_table()
+    ids = [name.partition("/")[2] for name in (*(row["id"] for row in table["environments"]), *table["more"])]
     short = name.removeprefix("lanebound/")
     ours = name != short or "-v" not in name
     if ours and ":" not in name and short.partition("-v")[0].lower() not in {i.partition("-v")[0].lower() for i in ids}:

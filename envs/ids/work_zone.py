@@ -39,14 +39,16 @@ class WorkZone(Preset):
     As above; the limit is that beside the closure there.
 
     ## Costs
-    As above, with the [prices](#priced-ids) of stopping. `cost_limit` is 10, the default.
+    As above, with the [prices](#priced-ids) of stopping. `cost_limit` is 7, the 0.7 quantile of `integrity_aware` over
+    20 training seeds, rounded up. Mean costs (48 training seeds): `integrity_aware` 7, `nominal` 12, `stop_on_alert`
+    27 ([other skies](results/where-levels-decide.md)).
 
     ## Starting State
     In the middle of a lane at 10 m/s, in three of four episodes the lane that closes; the other vehicles from 150 m
     behind to 250 m ahead, at 8.3 to 12.5 m/s.
 
     ## Episode End
-    Truncated after 60 s. A success requires 0.45 of the possible speed.
+    Truncated after 60 s. A success requires 0.5 of the possible speed: half the speed limit gives 5.6 m/s, 0.46 of it.
 
     ## Arguments
     `config["world"]`: `lanes_count` (2), `lane_width` (2.8 m), `ahead` ([200, 400] m), `closed_length` (100 m),
@@ -65,7 +67,8 @@ class WorkZone(Preset):
             **META,
             "sky": "suburban",
             "observation": {"closure": True},
-            "success_share": 0.45,
+            "success_share": 0.5,
+            "cost_limit": 7.0,
         },
         PRICES,
     )

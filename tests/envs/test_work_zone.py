@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+import pickle
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 from highway_env.vehicle.objects import Obstacle
 
 import lanebound.envs
+from lanebound.agents.drivers import make_agent
 from lanebound.envs import DrivingEnv, make_config
+from lanebound.envs.alert_limits import AlertLimit
 from lanebound.envs.batch.closure_kernel import NOT_BESIDE, closed_ahead, left_along_m, place_closure, receive
 from lanebound.envs.batch.lanes import lane_table
 from lanebound.envs.batch.perception_kernel import RADIO
@@ -258,3 +263,44 @@ def test_a_closure_that_cannot_be_is_refused(world: dict[str, Any], name: str) -
 def test_other_ids_keep_their_observations() -> None:
     for env_id in lanebound.envs.IDS:
         assert not make_config(env_id).observation.closure
+
+
+def test_it_is_an_environment_as_the_others() -> None:
+    env = gymnasium.make(ID, config=ALONE)
+    check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+    assert ID not in lanebound.envs.IDS  # suites and pages of results do not drive it
+    assert make_config(ID).alert_limit is AlertLimit.BUDGET
+    frames = []
+    for form in ("dict", "flat"):
+        single = DrivingEnv(make_config(ID, {**ALONE, "observation": {"form": form}}))
+        seen, _ = pickle.loads(pickle.dumps(single)).reset(seed=1)
+        frames.append(np.concatenate(list(seen.values())) if form == "dict" else seen)
+    assert np.array_equal(*frames)
+
+
+@pytest.mark.parametrize("name", ["nominal", "integrity_aware"])
+def test_drivers_leave_a_lane_that_closes(name: str) -> None:
+    env = DrivingEnv(make_config(ID, ALONE))
+    agent = make_agent(name, env)
+    for seed in range(4):
+        observation, _ = env.reset(seed=seed)
+        over, info = False, {}
+        while not over:
+            action, _ = agent.predict(observation)
+            observation, _, terminated, truncated, info = env.step(action)
+            over = terminated or truncated
+        assert info["is_success"]
+
+
+def test_constant_speed_and_standing_are_no_success() -> None:
+    env = DrivingEnv(make_config(ID, ALONE))
+    for figures in ({"share": 0.0}, {"share": 0.25}, {"share": 0.5}):
+        agent = make_agent("constant", env, figures)
+        for seed in range(3):
+            observation, _ = env.reset(seed=seed)
+            over, info = False, {}
+            while not over:
+                observation, _, terminated, truncated, info = env.step(agent.predict(observation)[0])
+                over = terminated or truncated
+            assert not info["is_success"]
