@@ -29,6 +29,7 @@ from lanebound.agents.benchmark.suite import SPLITS
 from lanebound.agents.checkpointing.files import make_folder, read_json, write_json
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.agents.drivers import make_agent
+from lanebound.agents.drivers.learnt import policies
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.learning.evaluation import drive_all
 from lanebound.agents.learning.experiment import ExperimentConfig, load_experiment
@@ -62,6 +63,8 @@ PACE: dict[str, tuple[int, int, dict[str, int]]] = {
     "Highway": (56_000, 2_000, SLOW),
     "Intersection": (49_000, 2_000, SLOW),
     "UrbanCanyon": (45_000, 2_000, SLOW),
+    "WorkZone": (45_000, 2_000, SLOW),
+    "Guidance": (45_000, 2_000, SLOW),
 }
 """Of each id, the fastest to judge first: decisions that a core learns from in a minute (measured), those of a round of
 imitation, and settings."""
@@ -105,9 +108,10 @@ def experiment_of(config: CurvesConfig, env: str) -> ExperimentConfig:
     decisions, shown, settings = PACE[env]
     rollout = COUNT * settings["n_steps"]
     each = rollout * max(round(config.minutes * decisions / config.checkpoints / rollout), 1)
+    own = make_config(full_id(env))
     shipped: dict[str, Any] = {
-        "sky": make_config(full_id(env)).sky,
-        "overrides": {"perception": {"source": "v2v"}},
+        "sky": own.sky,
+        "overrides": {"perception": {"source": own.perception.source}},
         "count": COUNT,
         "checkpoint_steps": each,
         "steps": config.checkpoints * each,
@@ -161,7 +165,14 @@ def _learn(config: CurvesConfig, out: Path, env: str, advance: Advance) -> dict[
         model = load_model(out / "trainings" / env / "last.zip", planned.algorithm)
         rest = config.held_out(config.final_seeds)
         with closing(planned.open()) as single:
-            drivers: dict[str, Any] = {LEARNT: model, **{name: make_agent(name, single) for name in COMPARED}}
+            drivers: dict[str, Any] = {
+                LEARNT: model,
+                **{
+                    name: make_agent(name, single)
+                    for name in COMPARED
+                    if name != "ppo" or single.config.base in policies()
+                },
+            }
         final = {}
         for n, (name, driver) in enumerate(drivers.items()):
             final[name] = _kept(folder / f"{name}.json", partial(drive_all, planned, driver, rest))
