@@ -19,6 +19,7 @@ def believe(**changes: Any) -> EgoBelief:
     """At rest at the beginning of the lane a, b, 0 of 4 m, in RTK, without an alert, its target the lane it is in."""
     plain: dict[str, Any] = dict.fromkeys(EgoBelief.__dataclass_fields__, 0.0) | {
         "position_m": np.zeros(2),
+        "fix_position_m": np.zeros(2),
         "lane_index": LANE,
         "lane_width_m": 4.0,
         "pl_at_m": 0.5,

@@ -50,6 +50,7 @@ class Viewer:
         row = e.table.row
         lane, target = row[ego.lane_index], row[ego.target_lane_index]
         known = {"x_m": ego.position_m[0], "y_m": ego.position_m[1], "lane": lane, "target_lane": target}
+        known["fix_x_m"], known["fix_y_m"] = ego.fix_position_m
         known["path"] = e.routes.row(lane, route)
         for name in BELIEF.names or ():
             e.ego["shown"][name] = known[name] if name in known else getattr(ego, name)
