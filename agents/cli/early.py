@@ -104,7 +104,9 @@ def _require_env(name: str) -> None:
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.core.presets import nearest
 
-    ids = [row["id"].partition("/")[2] for row in static_table()["environments"]]
+    table = static_table()
+    listed = [row["id"] for row in table["environments"]]
+    ids = [name.partition("/")[2] for name in (*listed, *table["more_environments"])]
     short = name.removeprefix("lanebound/")
     ours = name != short or "-v" not in name
     if ours and ":" not in name and short.partition("-v")[0].lower() not in {i.partition("-v")[0].lower() for i in ids}:

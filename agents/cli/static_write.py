@@ -12,7 +12,7 @@ from lanebound.agents.cli.envs import facts
 from lanebound.agents.cli.static import TABLE, StaticTable
 from lanebound.agents.episodes.opening import open_env
 from lanebound.envs.config import FaultLevel
-from lanebound.envs.ids import CLASSES, id_of
+from lanebound.envs.ids import CLASSES, METRE, PRICED, id_of
 from lanebound.envs.info import INFO
 from lanebound.envs.sky import SKIES
 
@@ -38,6 +38,7 @@ def made() -> StaticTable:
     keys["environment"] |= {key: _tree(_class(NAVIGATOR)) for key in CHOSEN_BY_KIND}
     return {
         "environments": [facts(open_env(id_of(kind))) for kind in CLASSES],
+        "more_environments": [id_of(kind) for kind in (*PRICED, *METRE)],
         "info": dict(INFO),
         "skies": list(SKIES),
         "faults": [level.value for level in FaultLevel],
