@@ -20,8 +20,8 @@ class StaticTable(TypedDict):
     """The table.
 
     ``environments`` are rows as ``lanebound envs`` lists them, ``more_environments`` the ids that it does not list,
-    ``info`` the meanings of its entries, ``skies`` and ``faults`` the names of levels. In ``keys`` a configuration is a mapping of its keys, a text the bounds of a number
-    (``"gt 0, le 1"``), and null what has keys of its own.
+    ``info`` the meanings of its entries, ``skies`` and ``faults`` the names of levels. In ``keys`` a configuration is a
+    mapping of its keys, a text the bounds of a number (``"gt 0, le 1"``), and null what has keys of its own.
     """
 
     environments: list[dict[str, Any]]
