@@ -183,7 +183,7 @@ def test_figures_beyond_their_bounds_are_refused() -> None:
     for changes, message in (
         ({"blocking": -1.0}, "cost.blocking must be >= 0"),
         ({"blocking_share": 0.0}, "cost.blocking_share must lie in"),
-        ({"alert_speed": "half"}, "cost.alert_speed must be one of 'share' or 'level'"),
+        ({"alert_speed": "half"}, "cost.alert_speed must be one of 'share', 'level' or 'roads'"),
     ):
         with pytest.raises(ConfigError, match=message):
             DrivingEnv(make_config("lanebound/LaneKeeping-v0", {"cost": changes}))
