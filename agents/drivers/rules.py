@@ -27,7 +27,8 @@ safe behind each vehicle ahead, and each vehicle behind must be safe behind the 
 believed body reaches over a lane marking, vehicles ahead on both lanes count for ``rss``. A vehicle that is believed
 level with the ego or behind it counts as ahead, with a gap of 0, if its level reaches over the ego; ``gap`` forbids the
 change then, as no gap is left in either order. A missing level of a vehicle forbids changes to its lane; ``rss`` counts
-it as 40 m at least, as ``cost_headway`` does.
+it as 40 m at least, as ``cost_headway`` does. A lane that is known to close ends in a standing vehicle for ``rss``,
+less PL_AT of the ego, and ``gap`` permits no change to it.
 
 Meta-actions are permitted by the target speed that they set. Where no target is slow enough, only the lowest one that
 an action sets is permitted, so that some action always is. A permitted speed u bounds the acceleration of continuous
@@ -51,7 +52,7 @@ from lanebound.agents.drivers.base import Observation, Reader
 from lanebound.agents.drivers.lane_barrier import LaneBarrier, LaneBarrierConfig
 from lanebound.agents.drivers.leaders import in_way
 from lanebound.agents.drivers.margins import RssConfig, rss_speed
-from lanebound.agents.drivers.plans import EGO_LENGTH_M
+from lanebound.agents.drivers.plans import EGO_LENGTH_M, FREE_M, closure_gap
 from lanebound.agents.drivers.shares import share_of, value_of
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Config, Field
@@ -138,6 +139,8 @@ class RuleBook:
         self._steers = not self._meta and inner.lateral and (r.lane or r.alert or r.gap)
         self._slows = self._meta or inner.longitudinal
         self.reader.require(_needed(r, self._meta))
+        if self.reader.config.closure and (r.gap or r.rss):
+            self.reader.require(["integrity.pl_at"])
         if (r.gap or r.rss) and not self.reader.config.vehicles:
             raise InputError(
                 "observation.vehicles must be > 0 for the rules gap and rss, got 0: show vehicles, or set both to false"
@@ -211,7 +214,20 @@ class RuleBook:
             way = way | (both[..., None] & self._in_way(observation, side))
         ahead = way & (self.reader.rows(observation, "lane_gap") + level > 0.0)
         safe = rss_speed(np.maximum(free, 0.0), others, self._rss)
-        return np.asarray(np.where(ahead, safe, np.inf).min(axis=-1))
+        return np.minimum(np.where(ahead, safe, np.inf).min(axis=-1), self._closure_speed(observation))
+
+    def _closure_speed(self, observation: Observation) -> Array:
+        """Before a closure that is known on the own lane, or on that of a change, as behind a vehicle that stands."""
+        room = self._closure_room(observation, 0)
+        for side, target in TARGET.items():
+            changes = self.reader.value(observation, target) > 0.5
+            room = np.where(changes, np.minimum(room, self._closure_room(observation, side)), room)
+        return np.where(room < FREE_M, rss_speed(room, np.zeros_like(room), self._rss), np.inf)
+
+    def _closure_room(self, observation: Observation, side: int) -> Array:
+        """Road to a closure that is known on a lane, less PL_AT (the largest shown if missing); far off without one."""
+        level = self.reader.value(observation, "integrity.pl_at") if self.reader.config.closure else 0.0
+        return closure_gap(self.reader, observation, side, level)
 
     def _bend_speed(self, observation: Observation) -> Array:
         assert self._barrier is not None
@@ -225,7 +241,8 @@ class RuleBook:
         room, own = np.maximum(free, 0.0), self._speed(observation)[..., None]
         ahead = self.reader.rows(observation, "lane_gap") > 0.0
         safe = np.where(ahead, own <= rss_speed(room, others, self._rss), others <= rss_speed(room, own, self._rss))
-        return np.asarray((self._in_way(observation, side) & ~(safe & known & (free >= 0.0))).any(axis=-1))
+        lacks = (self._in_way(observation, side) & ~(safe & known & (free >= 0.0))).any(axis=-1)
+        return np.asarray(lacks | (self._closure_room(observation, side) < FREE_M))
 
     def _others(self, observation: Observation) -> tuple[Array, Array, Array]:
         """Free distance along the route less both levels [m], speed [m/s], and both levels [m], each (..., K)."""

@@ -350,6 +350,30 @@ def test_a_missing_level_of_a_vehicle_forbids_the_change_and_counts_40_m(meta: R
         assert rss_m(safe, 5.0) == pytest.approx(room, abs=1e-3)
 
 
+def test_a_lane_that_closes_is_as_a_standing_vehicle_and_not_entered() -> None:
+    with closing(open_env("WorkZone", PERFECT | {"observation": {"form": "flat"}})) as env:
+        book = RuleBook(env)
+        there = {"ego__speed": 10.0, "road__closure_known": 1.0, "road__closure_end": 150.0, "integrity__pl_at": 2.0}
+        own = moment(book, road__closure_own=1.0, road__closure_start=42.5, **there)
+        c = env.config.cost
+        rho = max(c.response_s, env.dt_s)
+        v = float(book.speeds(own)["rss"])
+        # Definition 1 of Shalev-Shwartz et al. 2017 for the 38 m from the bumper less PL_AT, behind what stands.
+        fast = v + c.accelerate_mps2 * rho
+        needed = v * rho + 0.5 * c.accelerate_mps2 * rho**2 + fast**2 / (2.0 * c.brake_min_mps2)
+        assert needed == pytest.approx(42.5 - 2.5 - 2.0, rel=1e-3)
+        assert not any(forbids.any() for forbids in book.closed(own, 1).values())
+        right = moment(book, road__closure_right=1.0, road__closure_start=42.5, **there)
+        assert np.isinf(book.speeds(right)["rss"])
+        assert book.closed(right, 1)["gap"]
+        assert not book.closed(right, -1)["gap"]
+        changing = moment(book, road__closure_right=1.0, road__closure_start=42.5, ego__target_right=1.0, **there)
+        assert float(book.speeds(changing)["rss"]) == pytest.approx(v, rel=1e-6)
+        behind = there | {"road__closure_start": -80.0, "road__closure_end": -10.0}
+        passed = moment(book, road__closure_own=1.0, **behind)
+        assert np.isinf(book.speeds(passed)["rss"]), "it lies behind"
+
+
 def test_a_leader_bounds_target_speed_and_acceleration(meta: RuleBook, direct: RuleBook) -> None:
     ahead = {"traffic__v0_present": 1.0, "traffic__v0_own_lane": 1.0, "traffic__v0_length": 5.0}
     near = moment(meta, traffic__v0_lane_gap=14.0, traffic__v0_velocity_ahead=-5.0, **ahead)
