@@ -214,7 +214,7 @@ class RuleBook:
             way = way | (both[..., None] & self._in_way(observation, side))
         ahead = way & (self.reader.rows(observation, "lane_gap") + level > 0.0)
         safe = rss_speed(np.maximum(free, 0.0), others, self._rss)
-        return np.minimum(np.where(ahead, safe, np.inf).min(axis=-1), self._closure_speed(observation))
+        return np.asarray(np.minimum(np.where(ahead, safe, np.inf).min(axis=-1), self._closure_speed(observation)))
 
     def _closure_speed(self, observation: Observation) -> Array:
         """Before a closure that is known on the own lane, or on that of a change, as behind a vehicle that stands."""
