@@ -39,6 +39,9 @@ SUITES = (
     "monitors",
     "context",
     "filters",
+    "work_zone",
+    "remote_braking",
+    "occluded_crossing",
 )
 
 ARROWS = {"higher": "↑", "lower": "↓", None: ""}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -100,7 +101,7 @@ def _list(as_json: bool, more: bool) -> None:
     groups = ", ".join(f"{name} {size}" for name, size in first["observation"].items())
     typer.echo(f"Observations: {groups}; flat {first['flat_size']}.")
     typer.echo(f"Navigation at {first['navigation_hz']:g} Hz, dynamics at {first['simulation_hz']} Hz.")
-    typer.echo(f"More: {', '.join(name.partition('/')[2] for name in static_table()['more'])}.")
+    typer.echo(fill(f"More: {', '.join(name.partition('/')[2] for name in static_table()['more'])}.", 80))
     typer.echo("'lanebound envs ID' shows one whole, with every entry.")
 
 

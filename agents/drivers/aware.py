@@ -201,7 +201,8 @@ class IntegrityAware(Rss):
         value = self.reader.value
         waits = value(observation, "integrity.alert") > 0.5
         if self.reader.config.roads:
-            left = self.config.decide_m * np.abs(value(observation, "road.route_shift"))
+            seen = 0.95 * self.reader.scale("road.junction")  # a farther end of the road is not seen
+            left = np.minimum(self.config.decide_m * np.abs(value(observation, "road.route_shift")), seen)
             waits |= value(observation, "integrity.roads_agree") < 0.5
             waits &= value(observation, "road.junction") > left
         return np.where(waits, 0, super().change(observation))

@@ -37,7 +37,7 @@ PACKAGES = (
     "lanebound.envs",
     "lanebound.agents.drivers",
     "lanebound.agents:studies/guidance.py",
-    "lanebound.agents:studies/first_episodes.py",
+    "lanebound.agents:studies/limits.py",
 )
 ENV = "Guidance"
 SECTIONS = ("outcome", "position")

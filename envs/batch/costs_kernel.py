@@ -50,6 +50,7 @@ import math
 
 from lanebound.envs.batch.conflict_kernel import must_give_way, second_arrival_s
 from lanebound.envs.batch.lanes_kernel import NONE, STRAIGHT, local, of_side, straight, width_at
+from lanebound.envs.batch.records_kernel import BY_ROADS
 from lanebound.integrity.core.accel import jit
 
 __all__ = ["CHANGE_S", "EXCESS_MOST_M", "TOLERANCE_MPS", "UNKNOWN_GAP_M", "begin_corridor", "doubt_m",
@@ -297,7 +298,7 @@ def price(b, body, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  
     permitted = b.permitted_mps if rules.permits != 0 else share
     least = c.blocking_share * min(flow, rules.fastest_mps)
     if b.alert != 0:  # the speed that an alert permits is fast enough, a slower one is not
-        least = min(least, permitted)
+        least = min(least, permitted - (TOLERANCE_MPS if rules.permits == BY_ROADS else 0.0))
     out.cost_collision = out.crashed_now
     out.cost_off_road = out.astray_now
     out.cost_lane = beyond * exposed * dt

@@ -6,6 +6,8 @@ navigates; lanes, routes: of the road network; rules (1,) RULES.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from lanebound.envs.batch.belief_kernel import begin, coast, locate, settle, take, take_given, trust_anew
@@ -246,6 +248,7 @@ def _score(ego, cars, picture, seen, path_of, lanes, routes, rules, start):  # t
         b.permitted_mps = permitted_mps(b, ego.score, cars[0], seen, picture.seen, lanes, routes, rules)
     elif rules.permits == BY_ROADS:
         limit = lanes.table[b.lane].speed_limit_mps
+        limit = limit if limit > 0.0 else math.inf
         b.permitted_mps = (b.possible_mps if b.alert != 0 else limit) + TOLERANCE_MPS
     ego.shown = b
     if rules.shown == ORACLE:

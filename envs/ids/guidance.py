@@ -22,7 +22,8 @@ class Guidance(Preset):
     m/s), whose nearest lanes are 18 m apart between their middles. The goal is an exit of the collector road, 1.4 km
     ahead. From the motorway a slip road leads to the collector road; at the same place the collector road has an exit
     that does not lead to the goal. A camera keeps the car in its lane ([lane sensor](#lane-sensor)), and does not know
-    on which road. The alert limits are 15 m along and across the track (S5: route guidance).
+    on which road. The alert limits are 15 m along (S5: route guidance) and 9.5 m across the track: an error of 9.75 m
+    and more may let the car take the other road for its own.
 
     Difficulty: on the wrong road the map asks for the wrong lane and permits the wrong speed. A level of 5 to 20 m says
     whether the other road is possible.
@@ -42,8 +43,8 @@ class Guidance(Preset):
 
     ## Costs
     As above, and with a weight of 2 `cost_speeding`, of 20 `cost_route`, of 1 `cost_gore` and of 1 `cost_blocking`. An
-    alert permits the least limit of the roads that the levels leave possible. `cost_limit` is 6,
-    the 0.7 quantile of `integrity_aware` over 16 training seeds, rounded up.
+    alert permits the least limit of the roads that the levels leave possible. `cost_limit` is 8:
+    the mean of `integrity_aware` over 16 training seeds (5.7) and 1 % of a crash, rounded up.
 
     ## Starting State
     On a random lane of either road, 20 to 180 m along it, at 13.9 m/s. Up to 6 other vehicles on both roads.
@@ -72,9 +73,9 @@ class Guidance(Preset):
         "perception": {"source": "sensor"},
         "observation": {"pl_max_m": 30.0},
         "al_at_m": 15.0,
-        "al_ct_m": 15.0,
+        "al_ct_m": 9.5,
         "success_share": 0.5,
         "success_behind_s": 30.0,
         "cost": {"speeding": 2.0, "route": 20.0, "gore": 1.0, "blocking": 1.0, "alert_speed": "roads"},
-        "cost_limit": 6.0,
+        "cost_limit": 8.0,
     }

@@ -13,6 +13,7 @@ from lanebound.envs.worlds.closures import Closure
 from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.envs.worlds.networks import StreetNetwork, long_road
 from lanebound.envs.worlds.streets import END_M, ROOM_M
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["WorkZoneWorld"]
 
@@ -60,7 +61,18 @@ class WorkZoneWorld(World):
         }
 
     def _network(self) -> StreetNetwork:
-        return long_road(self.config["layout"], self.config["lane_width"], self.config["lanes_count"])
+        c = self.config
+        if c["lanes_count"] < 2:
+            raise ConfigError(f"world.lanes_count must be >= 2, got {c['lanes_count']}: a lane must stay open")
+        network = long_road(c["layout"], c["lane_width"], c["lanes_count"])
+        length = network.get_lane(("start", "end", 0)).length
+        needed = FIRST_M + c["ahead"][1] + c["closed_length"] + END_M
+        if needed > length:
+            raise ConfigError(
+                f"world.ahead and world.closed_length must fit on a road of {length:.0f} m, got {needed:.0f} m "
+                "with the ends: lower them, or take another layout"
+            )
+        return network
 
     @classmethod
     def most_vehicles(cls, config: dict[str, Any]) -> int:

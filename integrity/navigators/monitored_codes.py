@@ -120,7 +120,7 @@ class MonitoredCodesConfig(NavigatorConfig):
         if not self.gnss.undifferenced:
             raise ConfigError("gnss.undifferenced must be true, got false: this kind needs undifferenced codes")
         detector = self.gnss.reflection_detector
-        if "map" in monitor_named(self.monitor.kind).needs and (detector.kind == "none" or detector.use != "flag"):
+        if self.reads_flags and (detector.kind == "none" or detector.use != "flag"):
             raise ConfigError(
                 f"gnss.reflection_detector must flag signals for monitor {self.monitor.kind!r}, got kind "
                 f"{detector.kind!r} and use {detector.use!r}: set a kind, and use: flag"
@@ -131,6 +131,11 @@ class MonitoredCodesConfig(NavigatorConfig):
                 f"{self.positioning.lever_arm_m}: this kind positions the antenna; set both to 0"
             )
         return self
+
+    @property
+    def reads_flags(self) -> bool:
+        """A monitor that takes a map reads them in its place."""
+        return "map" in monitor_named(self.monitor.kind).needs
 
 
 def with_context(data: Any) -> Any:

@@ -138,6 +138,22 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
             )
         return self
 
+    @model_validator(mode="after")
+    def _flags_are_read(self) -> Self:
+        # Flags that nobody reads would look like a detector without effect.
+        detector = self.gnss.reflection_detector
+        if detector.kind != "none" and detector.use == "flag" and not self.reads_flags:
+            raise ConfigError(
+                f"gnss.reflection_detector.use must be exclude for navigator {self.kind!r}, which reads no flags, got "
+                "flag: set it to exclude, or take monitored_codes with monitor map_exclude or map_deweight"
+            )
+        return self
+
+    @property
+    def reads_flags(self) -> bool:
+        """Whether it reads which signals a detector calls reflected."""
+        return False
+
     @property
     def told_sigma_m(self) -> float:
         """1 sigma of the prior position at the start, where nothing else is set [m]; chosen."""

@@ -304,3 +304,15 @@ def test_constant_speed_and_standing_are_no_success() -> None:
                 observation, _, terminated, truncated, info = env.step(agent.predict(observation)[0])
                 over = terminated or truncated
             assert not info["is_success"]
+
+
+@pytest.mark.parametrize(
+    ("world", "message"),
+    [
+        ({"lanes_count": 1}, "world.lanes_count must be >= 2"),
+        ({"ahead": [3000.0, 4000.0]}, r"must fit on a road of 32\d\d m"),
+    ],
+)
+def test_a_road_that_closes_altogether_or_behind_its_end_is_refused(world: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        gymnasium.make("lanebound/WorkZone-v0", config={"world": world}).reset(seed=1)

@@ -10,6 +10,7 @@ from scipy.stats import binom
 
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.navigators.monitored_codes import MonitoredCodesConfig
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.gnss import RATES, GnssConfig
 from lanebound.integrity.sky.propagation_kernel import reflection_coefficients
 from lanebound.integrity.sky.scene import material_table, permittivities
@@ -97,5 +98,7 @@ def test_rates_that_do_not_fit_are_refused(given: dict[str, Any], message: str) 
 def test_monitors_with_a_map_need_flags() -> None:
     with pytest.raises(ConfigError, match=r"gnss\.reflection_detector must flag signals for monitor 'map_exclude'"):
         MonitoredCodesConfig(monitor="map_exclude")
+    with pytest.raises(ConfigError, match="use must be exclude for navigator 'rtk_reckoning'"):
+        NavigatorConfig.load({"gnss": {"reflection_detector": {"kind": "fisheye", "use": "flag"}}})
     flagged = {"reflection_detector": {"kind": "fisheye", "use": "flag"}}
     assert MonitoredCodesConfig(monitor="map_exclude", gnss=flagged).gnss.reflection_detector.rates == RATES["fisheye"]
