@@ -182,9 +182,9 @@ lane by the position.
   navigator, and its bound grows (`lane_sensor.gyro_bound_degps`).
 - The believed road is the one that fits the navigator's position and heading best on the lane of the camera's number;
   the last one is kept unless another fits better by 2 m (`lane_sensor.switch_m`). The believed pose is on that lane,
-  with the camera's offset and heading, at the navigator's place along it. So a wrong road is believed from an error across
-  of half the distance of lanes of the same number and half of those 2 m on, until it is below half the distance less
-  half of them.
+  with the camera's offset and heading, at the navigator's place along it. So a wrong road is believed from an error
+  across of half the distance of lanes of the same number and half of those 2 m on, until it is below half the distance
+  less half of them.
 - `err_at_m`, `err_ct_m`, `mi` and `hmi` are of the navigator's position, before it is put on a lane.
 - Levels and alert limits are of the position, and say nothing about the lane. `cost_lane_integrity` takes the bound of
   the camera (`Qinv(risk / 2) sigma`). `alert_limit: budget` is refused.
