@@ -43,8 +43,8 @@ class Guidance(Preset):
 
     ## Costs
     As above, and with a weight of 2 `cost_speeding`, of 20 `cost_route`, of 1 `cost_gore` and of 1 `cost_blocking`. An
-    alert permits the least limit of the roads that the levels leave possible. `cost_limit` is 8:
-    the mean of `integrity_aware` over 16 training seeds (5.7) and 1 % of a crash, rounded up.
+    alert permits the least limit of the roads that the levels leave possible. `cost_limit` is 5:
+    the mean of `integrity_aware` over 16 training seeds (2.5) and 1 % of a crash, rounded up.
 
     ## Starting State
     On a random lane of either road, 20 to 180 m along it, at 13.9 m/s. Up to 6 other vehicles on both roads.
@@ -55,8 +55,8 @@ class Guidance(Preset):
 
     ## Arguments
     `config["world"]`: `separation` (18 m), `lane_width` (3.5 m), `vehicles_count` (6), `duration` (150 s).
-    `config["navigator"]`: another [service](navigation.md#positioning-services), such as `services/dgps`
-    (default `services/spp`).
+    `config["navigator"]`: another [service](navigation.md#positioning-services), such as `services/spp`
+    (default `services/dgps`).
 
     ## Version History
     * v0: first version.
@@ -69,7 +69,7 @@ class Guidance(Preset):
         "action_options": {"target_speeds": TARGET_SPEEDS_MPS},
         "sky": "suburban",
         "lane_sensor": {},
-        "navigator": "services/spp",  # its level is about the alert limit under this sky
+        "navigator": "services/dgps",  # its level is about the alert limit under this sky
         "perception": {"source": "sensor"},
         "observation": {"pl_max_m": 30.0},
         "al_at_m": 15.0,
@@ -77,5 +77,5 @@ class Guidance(Preset):
         "success_share": 0.5,
         "success_behind_s": 30.0,
         "cost": {"speeding": 2.0, "route": 20.0, "gore": 1.0, "blocking": 1.0, "alert_speed": "roads"},
-        "cost_limit": 8.0,
+        "cost_limit": 5.0,
     }
