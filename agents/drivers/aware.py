@@ -192,6 +192,8 @@ class IntegrityAware(Rss):
         v, target = read(observation, "ego.speed"), read(observation, "ego.target_speed")
         follower = neighbours(self.reader, observation, 0).follower_gap_m
         still = (v > target + c.settled_mps) & (follower < c.follower_s * v)
+        if not still.any():
+            return careful
         free = self.giving(observation, super().free_speed(observation))
         bare = np.minimum(free, safe_speed(*self.lead(observation, margins=False), c))
         return np.where(still, np.maximum(careful, np.minimum(bare, target)), careful)

@@ -71,7 +71,7 @@ class Plan:
     def lead(self, observation: Observation, margins: bool = True) -> tuple[Array, Array]:
         """Gap that counts to the next vehicle ahead [m], and its speed [m/s]; a closed lane is a standing one."""
         found = self.margins(observation) if margins else (0.0, 0.0)
-        s, lead = nearest_ahead(self.reader, observation, *found, self.config.cut_in_s, self.config)
+        s, lead = nearest_ahead(self.reader, observation, *found, self.config)
         if not self.reader.config.closure:
             return s, lead
         closed = closure_gap(self.reader, observation, 0, self.own_margin(observation) if margins else 0.0)

@@ -88,10 +88,8 @@ def in_lane(reader: Reader, observation: Observation, side: int, within_s: float
     there = rows(LANES[side]) > 0.5
     if within_s > 0.0:
         sine, cosine = (reader.value(observation, f"ego.heading_{name}")[..., None] for name in ("sin", "cos"))
-        ahead, right = (
-            reader.value(observation, "ego.speed")[..., None] + rows("velocity_ahead"),
-            rows("velocity_right"),
-        )
+        ahead = reader.value(observation, "ego.speed")[..., None] + rows("velocity_ahead")
+        right = rows("velocity_right")
         along, across = cosine * ahead - sine * right, sine * ahead + cosine * right
         width = reader.value(observation, "ego.lane_width")[..., None]
         off = rows("lane_offset") + within_s * across - side * width
@@ -108,8 +106,7 @@ def closure_gap(reader: Reader, observation: Observation, lane: int = 0, along_m
     free = np.full(reader.value(observation, "ego.speed").shape, FREE_M)
     if not reader.config.closure:
         return free
-    name = {-1: "left", 0: "own", 1: "right"}[lane]
-    there = reader.value(observation, f"road.closure_{name}") > 0.5
+    there = reader.value(observation, f"road.closure_{LANES[lane].removesuffix('_lane')}") > 0.5
     there &= reader.value(observation, "road.closure_end") > -0.5 * EGO_LENGTH_M - along_m
     gap = reader.value(observation, "road.closure_start") - 0.5 * EGO_LENGTH_M - along_m
     return np.where(there, np.maximum(gap, 0.0), free)
@@ -120,17 +117,16 @@ def nearest_ahead(
     observation: Observation,
     along_m: Array | float = 0.0,
     across_m: Array | float = 0.0,
-    within_s: float = 0.0,
-    several: CruiseConfig | None = None,
+    c: CruiseConfig | None = None,
 ) -> tuple[Array, Array]:
     """Gap bumper to bumper [m] to the next vehicle on the ego's route, and its speed [m/s]; far off without one.
 
-    With ``several`` that of its ``leaders`` next vehicles whose braking leaves the least safe speed; from the gap to
-    one that is not the next the vehicles in between, and their gaps at rest, are subtracted.
+    With a configuration vehicles that enter the lane within ``cut_in_s`` count. Of the ``leaders`` next vehicles that
+    one counts whose braking leaves the least safe speed; from the gap to one that is not the next the vehicles in
+    between, and their gaps at rest, are subtracted.
 
     Parameters
     ----------
-    within_s : vehicles that enter the lane within this time count
     along_m : (..., K) or number, subtracted from the gap to each vehicle
     across_m : (..., K) or number, by which the ego's lane is widened on each side for each vehicle
     """
@@ -141,15 +137,15 @@ def nearest_ahead(
     half = 0.5 * reader.value(observation, "ego.lane_width")[..., None]
     near = np.abs(reader.rows(observation, "lane_offset")) <= half + across_m
     wide = near & (np.asarray(across_m) > 0.0) & (reader.rows(observation, "present") > 0.5)
-    there = (in_lane(reader, observation, 0, within_s) | wide) & (gap > 0.0)
+    there = (in_lane(reader, observation, 0, 0.0 if c is None else c.cut_in_s) | wide) & (gap > 0.0)
     free = np.where(there, gap - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M) - along_m, FREE_M)
     best = np.argmin(free, axis=-1)[..., None]
-    if several is not None and several.leaders > 1:
+    if c is not None and c.leaders > 1:
         place = np.argsort(np.argsort(free, axis=-1, kind="stable"), axis=-1)
-        free = np.where(there, free - place * (EGO_LENGTH_M + several.standstill_m), FREE_M)
+        free = np.where(there, free - place * (EGO_LENGTH_M + c.standstill_m), FREE_M)
         ahead = np.maximum(speed[..., None] + reader.rows(observation, "velocity_ahead"), 0.0)
-        safe = safe_speed(np.maximum(free, 0.0), ahead, several)
-        best = np.argmin(np.where(there & (place < several.leaders), safe, FREE_M), axis=-1)[..., None]
+        safe = safe_speed(np.maximum(free, 0.0), ahead, c)
+        best = np.argmin(np.where(there & (place < c.leaders), safe, FREE_M), axis=-1)[..., None]
     closing = np.take_along_axis(reader.rows(observation, "velocity_ahead"), best, axis=-1)[..., 0]
     s = np.take_along_axis(free, best, axis=-1)[..., 0]
     return np.maximum(s, 0.0), np.where(s < FREE_M, np.maximum(speed + closing, 0.0), speed)

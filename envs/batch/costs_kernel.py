@@ -297,7 +297,9 @@ def price(b, body, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  
     share = c.alert_speed_share * limit if limit > 0.0 else math.inf
     permitted = b.permitted_mps if rules.permits != 0 else share
     least = c.blocking_share * min(flow, rules.fastest_mps)
-    if b.alert != 0:  # the speed that an alert permits is fast enough, a slower one is not
+    # The speed that an alert permits is fast enough, a slower one is not; of possible roads their limit is, and the
+    # tolerance above it is not asked for.
+    if b.alert != 0:
         least = min(least, permitted - (TOLERANCE_MPS if rules.permits == BY_ROADS else 0.0))
     out.cost_collision = out.crashed_now
     out.cost_off_road = out.astray_now

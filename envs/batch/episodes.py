@@ -40,16 +40,8 @@ __all__ = ["Episodes", "copy_rows", "empty_cars", "reach_of"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-RESTARTED = (
-    "belief",
-    "eye",
-    "camera",
-    "track",
-    "command",
-    "score",
-    "facts",
-    "outcome",
-)  # parts of EGO that a start clears
+RESTARTED = "belief", "eye", "camera", "track", "command", "score", "facts", "outcome"
+"""Parts of EGO that a start clears."""
 EPS_S = 1e-6  # a window of 1 s holds ten steps of 0.1 s, whatever they sum to
 TAKE_US, CONCLUDE_US = 0.5, 5.0  # of one thread for an environment, measured
 

@@ -472,6 +472,7 @@ def observe_vehicle(rules, site, slows, own, draws, sky, reception, truth, of_fa
             root = math.sqrt(0.5 * (1.0 + slant * slant))
             late_rate += advance_near(rules.near, speed, root, draws.near[s], signal.near, work)
         out.reflected = rules.detects and arrives and judge(rules, reception[s].path == REFLECTED, uniform, signal)
+        # A signal that the detector flags is left out, right or wrong: its code may be late by tens of metres.
         if not has_code or (out.reflected and rules.excludes):
             continue
         out.tracked, out.cn0 = True, level

@@ -125,19 +125,23 @@ def test_a_vehicle_that_enters_a_lane_counts_there_before_it_is_on_it(flat):
     slow, fast, crossing = (
         road(flat, ("left", 20.0, -5.0), **heading, traffic__v0_velocity_right=across) for across in (1.9, 2.1, 6.0)
     )
-    assert nearest_ahead(flat, slow, within_s=1.0)[0] == FREE_M
+    assert nearest_ahead(flat, slow, c=CALM)[0] == FREE_M
     assert nearest_ahead(flat, fast)[0] == FREE_M, "without a time only the middle counts"
-    gap, speed = nearest_ahead(flat, fast, within_s=1.0)
+    gap, speed = nearest_ahead(flat, fast, c=CALM)
     assert (float(gap), float(speed)) == (pytest.approx(15.0, rel=1e-5), pytest.approx(5.0, rel=1e-5))
-    assert nearest_ahead(flat, crossing, within_s=1.0)[0] == FREE_M, "it crosses at 50 degrees"
+    assert nearest_ahead(flat, crossing, c=CALM)[0] == FREE_M, "it crosses at 50 degrees"
     assert neighbours(flat, fast, 0, within_s=1.0).lead_gap_m == pytest.approx(15.0, rel=1e-5)
     askew = road(
         flat, ("left", 20.0, -5.0), traffic__v0_lane_offset=-4.0, traffic__v0_velocity_right=0.0,
         ego__heading_sin=0.6, ego__heading_cos=0.8,
     )  # fmt: skip
-    # A car that is turned right by 37 degrees sees 5 m/s ahead as 3 m/s to the right of the lane.
-    assert not in_lane(flat, askew, 0, 0.5)[0]
+    # A car that is turned right by 37 degrees sees 5 m/s ahead as 3 m/s to the right of the lane and 4 m/s along it.
     assert not in_lane(flat, askew, 0, 1.0)[0], "0.75 of its speed along: no merging"
+    turned = road(
+        flat, ("left", 20.0, -5.0), traffic__v0_lane_offset=-4.0, ego__heading_sin=0.28, ego__heading_cos=0.96,
+    )  # fmt: skip
+    # Turned by 16 degrees: 1.4 m/s across reach the marking, 2 m away, after 1.43 s.
+    assert [bool(in_lane(flat, turned, 0, s)[0]) for s in (1.4, 1.46)] == [False, True]
 
 
 def test_before_a_follower_a_level_slows_by_one_target_speed_at_a_time():

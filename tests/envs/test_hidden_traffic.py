@@ -203,8 +203,8 @@ def test_of_several_leaders_the_one_that_leaves_the_least_safe_speed_counts() ->
         for name, value, scale in (("lane_gap", gap, 150.0), ("ahead", gap, 150.0), ("velocity_ahead", closing, 40.0)):
             changed["traffic"][place[f"traffic.v{row}_{name}"]] = value / scale
     speed = float(reader.value(changed, "ego.speed"))
-    one = nearest_ahead(reader, changed, 0.0, 0.0, 0.0, CruiseConfig())
-    several = nearest_ahead(reader, changed, 0.0, 0.0, 0.0, CruiseConfig(leaders=3))
+    one = nearest_ahead(reader, changed, c=CruiseConfig())
+    several = nearest_ahead(reader, changed, c=CruiseConfig(leaders=3))
     assert (float(one[0]), float(one[1])) == pytest.approx((15.0, speed), abs=1e-3)
     between = EGO_LENGTH_M + CruiseConfig().standstill_m
     assert (float(several[0]), float(several[1])) == pytest.approx((25.0 - between, max(speed - 10.0, 0.0)), abs=1e-3)

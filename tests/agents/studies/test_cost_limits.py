@@ -57,7 +57,7 @@ def test_two_drives_give_limits_that_are_resumed_and_written_into_a_page(tmp_pat
     assert max(part["sums"]["cost"]) > 0.0
     assert part["cost_limit"] == 15.0
     assert part["mean"] == pytest.approx(np.mean(part["sums"]["cost"]))
-    assert (part["ended"], part["limit_in_mean"]) == (0, pytest.approx(part["mean"] + 0.01 * 200.0, rel=1.0))
+    assert part["ended"] == 0
     assert part["mean"] + 2.0 <= part["limit_in_mean"] < 2.0 * (part["mean"] + 2.0), "rounded up to a digit"
     assert part["limits"]["headway"] is None, "there is nobody ahead"
     assert any(0.0 < share < 1.0 for share in told), "a part is seen to go on"

@@ -31,7 +31,7 @@ def test_a_position_on_the_other_road_shows_in_the_figures(tmp_path: Path) -> No
         assert part["beyond"] == 0
         assert not any(part["success"])
     blocked = {name: sum(part["causes"]["blocking"]) for name, part in found["cases"].items()}
-    assert max(blocked.values()) < 0.05, "both obey the limit of the slower road, and who obeys does not block"
+    assert max(blocked.values()) < 0.05, "at the limit of the slower possible road a car does not block"
     shown = tables(found)
     assert tuple(shown) == SECTIONS
     (heads, rows), (_, positions) = shown["outcome"], shown["position"]
