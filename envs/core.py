@@ -36,8 +36,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     pulses), and a navigator computes an estimated pose with protection levels. Every decision uses the estimate:
     observation, lane, lane changes, steering, speed control and route. Other vehicles react to true positions.
 
-    Other drivers have a mean offset from the middle of their lane (0.15 m, 1 sigma) and wander about it (0.19 m, with a
-    correlation time of 5 s), at most 0.5 m in all. `wander.offset_sigma_m` and `wander.wander_sigma_m` of 0 switch this
+    Other drivers have a constant offset from the middle of their lane (0.15 m, 1 sigma) and wander about it (0.19 m,
+    correlation time 5 s), at most 0.5 m in all. `wander.offset_sigma_m` and `wander.wander_sigma_m` of 0 switch this
     off, as in highway-env.
 
     Lateral values are positive to the right, angles and yaw rates for right turns. `at` is along the track, `ct` across
@@ -76,12 +76,12 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `"oracle"` | the true state with protection levels of 0 |
 
     The map that predicts satellites has no trees and has errors (1 sigma: 2.5 m in the height of a building, 0.7 m in
-    its position); between buildings the prediction is wrong by 1 to 3 satellites on average.
+    its position): the prediction is wrong by 1 to 3 satellites on average between buildings.
 
     ## Rewards
-    The reward is the weighted sum of these terms, computed from the true state; `info["rewards"]` holds them
-    unweighted. v is the speed, v_limit the speed limit of the lane, psi the heading relative to the lane, d the offset
-    from the middle of the lane, a the acceleration (along and across), dt the length of a step.
+    The weighted sum of these terms, computed from the true state; `info["rewards"]` holds them unweighted. v is the
+    speed, v_limit the speed limit of the lane, psi the heading relative to the lane, d the offset from the middle of
+    the lane, a the acceleration (along and across), dt the length of a step.
 
     | term | weight | value in a step |
     |---|---|---|
@@ -111,37 +111,35 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_route` | 0 | 1 in the step in which the car comes onto a road that does not lead to the goal of the world |
     | `cost_gore` | 0 | dt while the body is over a line of its lane within 50 m (`cost.gore_m`) of a fork |
 
+    - `cost_lane`, `cost_lane_integrity`: during a commanded lane change, and where lanes meet or fork, both lanes
+      count. With `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0. The least v is
+      `cost.standing_speed_mps` (0).
     - `cost_headway` is also computed from the true gap and speeds without PL; the larger value counts.
-    - `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with rho = 0.5 s, a
-      = 2, b_min = 4 and b_max = 6 m/s2.
-    - T2 is the time until the second of two vehicles reaches the place where the first is or just was, if both go on
-      along their lanes at their true speeds (Laureshyn et al. 2017; 1.5 s: Hyden 1987, FHWA-RD-03-050). It counts for
-      courses that cross at more than 30 degrees (SSAM), only in Intersection and Roundabout, whoever has the right of
-      way.
-    - A missing protection level counts as 2 m across the track and as 40 m of the gap. An unperceived vehicle ahead
-      that is nearer than `d_RSS` costs dt.
-    - During a commanded lane change, and where lanes meet or fork, both lanes count. With `keep_lane=False` the whole
-      road counts, and `cost_lane_integrity` is 0.
-    - An alert permits half the limit (`cost.alert_speed_share`), without lane changes. `cost.alert_speed: level`
-      permits the largest speed v with `v PL <= 0.5 v_limit AL(v)` on both axes, from 0.25 (`cost.alert_speed_least`) to
-      0.5 of the limit. `cost.alert_speed: roads` (with a [lane sensor](#lane-sensor)) permits the least limit of the
-      roads that the levels leave possible, and 3 km/h. A step is judged by the speed that was observed before it
+      `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with rho = 0.5 s, a
+      = 2, b_min = 4 and b_max = 6 m/s2. An unperceived vehicle ahead that is nearer than `d_RSS` costs dt.
+    - A missing protection level counts as 2 m across the track and as 40 m of the gap.
+    - `cost_conflict`: T2 is the time until the second of two vehicles reaches the place where the first is or just was,
+      if both go on along their lanes at their true speeds (Laureshyn et al. 2017; 1.5 s: Hyden 1987, FHWA-RD-03-050).
+      It counts courses that cross at more than 30 degrees (SSAM), only in Intersection and Roundabout, whoever has the
+      right of way.
+    - `cost_alert`: an alert permits half the limit (`cost.alert_speed_share`) and no lane change. With
+      `cost.alert_speed: level` it permits the largest v with `v PL <= 0.5 v_limit AL(v)` on both axes, from 0.25
+      (`cost.alert_speed_least`) to 0.5 of the limit; with `roads` (needs a [lane sensor](#lane-sensor)) the least limit
+      of the roads that the levels leave possible, and 3 km/h. The speed observed before the step counts
       (`integrity.permitted_speed`).
-    - With a [lane sensor](#lane-sensor) `cost_lane` is of the lane that the camera follows, and `cost_lane_integrity`
-      of offset and bound of the camera.
-    - v_flow is the least of limit, fastest command, comfortable speed in a bend, speed of a vehicle less than 4 s
-      ahead, and speed from which the car stops in comfort before its lane ends. Under an alert the permitted speed
-      takes the place of `0.7 v_flow` if it is less. To stop is right, and `cost_blocking` 0, behind a vehicle that
-      stands and while another one crosses the next 30 m of the way within 7.1 s (HCM 2010). Without a weight it is 0.
-    - `cost.standing_speed_mps` is the least v of `cost_lane` and `cost_lane_integrity` (0): a body beyond its lane may
-      be struck at rest as well.
-    - An episode that ends early by a crash or off the road exceeds every `cost_limit`, but can cost less than a
-      careless drive to the end (UrbanCanyon: 230 at once, `nominal` 221 or 355): without a limit, costs may teach to
-      end early.
-    - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
-    - `cost_limits` adds limits of parts of that cost, each with the weights above, none by default and not enforced:
-      `lane` (`cost_lane` and `cost_lane_integrity`), `headway`, `conflict`, `alert`, `hmi` and `blocking` (the cause of
-      that name), `guidance` (`cost_speeding`, `cost_route` and `cost_gore`).
+    - `cost_blocking`: v_flow is the least of limit, fastest command, comfortable speed in a bend, speed of a vehicle
+      less than 4 s ahead, and speed from which the car stops in comfort before its lane ends. Under an alert the
+      permitted speed replaces `0.7 v_flow` if it is less. The cost is 0 behind a vehicle that stands, and while another
+      one crosses the next 30 m of the way within 7.1 s (HCM 2010).
+    - With a [lane sensor](#lane-sensor) lane, offset and bound are those of the camera.
+
+    `cost_limit` is the limit of an episode's cost for constrained learning; it is not enforced. `cost_limits` adds
+    limits of parts of that cost, with the weights above (none by default): `lane` (`cost_lane`,
+    `cost_lane_integrity`), `headway`, `conflict`, `alert`, `hmi`, `blocking`, `guidance` (`cost_speeding`,
+    `cost_route`, `cost_gore`).
+
+    A crash or an end off the road exceeds every `cost_limit`, but can cost less than a careless drive to the end
+    (UrbanCanyon: 230 at once, `nominal` 221 or 355): without a limit, costs may teach to end early.
 
     ## Info
     The same keys at reset and in each step. Known to the car:
@@ -177,39 +175,31 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `wrong_road` | with a [lane sensor](#lane-sensor): the believed road is another one, beside the true car |
     | `costs` | the unweighted causes as one vector (13,), float64, in the order of `lanebound.envs.costs.CAUSES` |
     | `rewards` | unweighted terms |
-
-    Under `faults: one` also the fault of the episode, as numbers ([faults](#one-fault-in-each-episode)): `fault_kind`,
-    `fault_onset_s`, `fault_weight`, `fault_probability`, `no_fault_probability`.
+    | `fault_...` | with `faults: one`: [the fault of the episode](#one-fault-in-each-episode) |
 
     ## Starting State
     `reset(seed=...)` determines the whole episode: traffic, one of 4 generated cities along the roads, the hour of the
     constellations, all sensor noise. The navigator starts 3 s before the episode on a straight approach, from errors of
     0.05 m and 0.5 degrees (1 sigma). The map has an error of 0.03 m (1 sigma) on each axis, which takes a tenth of the
-    integrity risk. All vehicles share the atmosphere and the reference station; half of the outages of the link affect
-    all of them, the others a single vehicle. An episode may begin in an outage, or under an alert (reason `holding`)
-    that clears within 1 s.
+    integrity risk. All vehicles share the atmosphere, the reference station and half of the outages of the link. An
+    episode may begin in an outage, or under an alert (reason `holding`) that clears within 1 s.
 
     ## Episode End
     Terminated when the true car has crashed, has its middle off the road or has driven against its lane for 1 s, at the
     goal of a world that has one, on a road that does not lead there (Guidance), and by the rules of the wrapped world.
-    Truncated when the world's time is up. A single
-    environment accepts a `step` after the end; the vector engine resets by itself, or refuses
-    (`AutoresetMode.DISABLED`).
+    Truncated when the world's time is up. A single environment accepts a `step` after the end; the vector engine resets
+    by itself, or refuses (`AutoresetMode.DISABLED`).
 
     `info["is_success"]` is true in the last step if the true car is unharmed, on the road, in the direction of its
-    lane, at the goal (Merge, Roundabout, Intersection) and fast enough. Fast enough means a share `success_share` of
-    the possible speed: that of the limit, the bends (2 m/s2 across) and a vehicle ahead within 4 s that is no wreck.
-    The mean speed along the lane must reach that share, and at the end the car may be at most 10 s (`success_behind_s`)
-    behind a car that always drives at it. Costs do not count: the benchmark has `success_within_limit` and
-    `mean_speed`.
+    lane, at the goal (Merge, Roundabout, Intersection, Guidance) and fast enough: its mean speed along the lane reaches
+    the share `success_share` of the speed that limit, bends (2 m/s2 across) and a vehicle ahead within 4 s that is no
+    wreck allow, and at the end the car is at most 10 s (`success_behind_s`) behind a car that always drives at that
+    share. Costs do not count.
 
     ## Arguments
     `gymnasium.make(id, config={...}, render_mode=...)`. `config` is merged deeply over the preset of the id ([all
-    keys](#configuration-keys)); an unknown key is refused with the nearest one. `lanebound envs ID --json` prints the
-    whole configuration of an id. `render_mode` is `"rgb_array"`, `"human"` or None. Groups of keys: `observation`,
-    `reward` and `cost` (contents, weights, parameters), `cost_limit` and `cost_limits` (of an episode, for learners and
-    metrics), `navigation` and `navigator` (position), `perception` (other vehicles), `actuators` (limits of steering;
-    None for highway-env's own) and `world` (keys of the wrapped world).
+    keys](#configuration-keys)); an unknown key is refused with the nearest one. `render_mode` is `"rgb_array"`,
+    `"human"` or None. `lanebound envs ID --json` prints the whole configuration of an id.
 
     ## Version History
     * v0: first version.

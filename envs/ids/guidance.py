@@ -21,8 +21,8 @@ class Guidance(Preset):
     Find the way to an exit, on a motorway (two lanes, 27.8 m/s) or on the collector road beside it (two lanes, 13.9
     m/s), whose nearest lanes are 18 m apart between their middles. The goal is an exit of the collector road, 1.4 km
     ahead. From the motorway a slip road leads to the collector road; at the same place the collector road has an exit
-    that does not lead to the goal. A camera keeps the car in its lane ([lane sensor](#lane-sensor)), and does not know
-    on which road. The alert limits are 15 m along (S5: route guidance) and 9.5 m across the track: an error of 9.75 m
+    that does not lead to the goal. A camera keeps the car in its lane ([lane sensor](#lane-sensor)), on whatever road
+    that is. The alert limits are 15 m along (S5: route guidance) and 9.5 m across the track: an error of 9.75 m
     and more may let the car take the other road for its own.
 
     Difficulty: on the wrong road the map asks for the wrong lane and permits the wrong speed. A level of 5 to 20 m says
@@ -33,18 +33,15 @@ class Guidance(Preset):
     lane beside the one that the camera sees.
 
     ## Observation Space
-    As above, with the entries of a lane sensor: in `road` the change of lanes for the goal (`route_shift`), the
-    distance of the position from the believed road (`offset`) and to the nearest other road (`other_road`), and its
-    limit; in `integrity` the least speed limit of the roads that the levels leave possible (`possible_limit`), and
-    whether these ask for the same change (`roads_agree`).
+    With the entries of a [lane sensor](#lane-sensor).
 
     ## Rewards
     As above.
 
     ## Costs
-    As above, and with a weight of 2 `cost_speeding`, of 20 `cost_route`, of 1 `cost_gore` and of 1 `cost_blocking`. An
-    alert permits the least limit of the roads that the levels leave possible. `cost_limit` is 5:
-    the mean of `integrity_aware` over 16 training seeds (2.5) and 1 % of a crash, rounded up.
+    Weights of 2 for `cost_speeding`, 20 for `cost_route`, 1 for `cost_gore` and 1 for `cost_blocking`. An alert permits
+    the least limit of the roads that the levels leave possible. `cost_limit` is 5: the mean of `integrity_aware` over
+    16 training seeds (2.5) and 1 % of a crash, rounded up.
 
     ## Starting State
     On a random lane of either road, 20 to 180 m along it, at 13.9 m/s. Up to 6 other vehicles on both roads.

@@ -20,9 +20,7 @@ class Highway(Preset):
     Drive fast in dense traffic on a straight motorway (highway-env's `highway-v0`): 4 lanes of 4 m, a speed limit of 30
     m/s, 50 other vehicles. Buildings line the first 2.5 km. The alert limits are 1.5 m along and 1 m across the track.
 
-    Difficulty: because of position errors the car leaves its lane and misjudges gaps. Of 72 drives of `nominal` under
-    `dense` (training seeds from 1000 on) 5 crash with neighbours known by radio (`v2v`), 1 with their true poses
-    (`truth`) and none by the sensor; 6, 6 and 9 leave the road.
+    Difficulty: because of position errors the car leaves its lane and misjudges gaps.
 
     ## Action Space
     `Discrete(5)` at 2 Hz, with the target speeds 0, 5, 10, 15, 20, 25 and 30 m/s (highway-env has only 20 to 30 m/s).
@@ -34,7 +32,7 @@ class Highway(Preset):
     As above.
 
     ## Costs
-    As above. An alert permits 15 m/s. `cost_limit` is 10, the default.
+    An alert permits 15 m/s. `cost_limit` is 10, the default.
 
     ## Starting State
     On a random lane, about 180 m from its start, at 25 m/s; all other vehicles are ahead.
@@ -73,7 +71,7 @@ class Merge(Preset):
     Difficulty: to make room the car must brake or change lane, and an alert restricts both.
 
     ## Action Space
-    `Discrete(5)` at 2 Hz, with the target speeds 0, 5, 10, 15, 20, 25 and 30 m/s (highway-env has only 20 to 30 m/s).
+    `Discrete(5)` at 2 Hz, with the target speeds 0, 5, 10, 15, 20, 25 and 30 m/s.
 
     ## Observation Space
     As above.
@@ -82,7 +80,7 @@ class Merge(Preset):
     As above.
 
     ## Costs
-    As above. An alert permits 10 m/s. `cost_limit` is 0.7. Mean costs (24 training seeds): `integrity_aware` 0.2,
+    An alert permits 10 m/s. `cost_limit` is 0.7. Mean costs (24 training seeds): `integrity_aware` 0.2,
     `stop_on_alert` 0.4, a driver that ignores alerts 1.2.
 
     ## Starting State
@@ -126,15 +124,14 @@ class Roundabout(Preset):
     12.8 m/s2 across, and the car would leave the road.
 
     ## Observation Space
-    As above; the preview in `road` follows the planned route.
+    The preview in `road` follows the planned route.
 
     ## Rewards
     As above.
 
     ## Costs
-    As above. An alert permits 10 m/s. `cost_limit` is 5, the 0.7 quantile of `integrity_aware` over 24 training seeds.
-    With perfect navigation `cost_lane` is 0.6: highway-env's steering leaves the lane where the approach meets the
-    circle.
+    An alert permits 10 m/s. `cost_limit` is 5, the 0.7 quantile of `integrity_aware` over 24 training seeds. With
+    perfect navigation `cost_lane` is 0.6: highway-env's steering leaves the lane where the approach meets the circle.
 
     ## Starting State
     On the southern approach, 2.5 m before it bends towards the circle, at 8 m/s; one vehicle on the eastern approach,
@@ -178,16 +175,15 @@ class Intersection(Preset):
     `action="continuous"` the world is `intersection-v1`, whose car has tyre slip.
 
     ## Observation Space
-    As above, with 12 vehicles in `traffic`. The preview in `road` follows the planned route.
+    12 vehicles in `traffic`. The preview in `road` follows the planned route.
 
     ## Rewards
     As above.
 
     ## Costs
-    As above, with other weights: 40 for `cost_conflict` (10 elsewhere) and 0.02 for `cost_lane_integrity` (0.1
-    elsewhere). A conflict with T2 < 1.42 s then exceeds the limit, a level alone does not. An alert permits 5 m/s.
-    `cost_limit` is 2, the 0.7 quantile of `integrity_aware` over 20 training seeds, rounded up. The shipped policy was
-    trained with the usual weights, without `cost_conflict`, for a limit of 8.
+    Weights of 40 for `cost_conflict` and 0.02 for `cost_lane_integrity`: a conflict with T2 < 1.42 s exceeds the limit,
+    a level alone does not. An alert permits 5 m/s. `cost_limit` is 2, the 0.7 quantile of `integrity_aware` over 20
+    training seeds, rounded up.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.
@@ -239,10 +235,10 @@ class Racetrack(Preset):
     As above.
 
     ## Costs
-    As above, with `keep_lane=False`: `cost_lane` counts beyond the edges of the road and `cost_lane_integrity` is 0.
-    Because the car cannot slow down, an alert permits 10 m/s (`cost.alert_speed_share` is 1). `cost_limit` is 10. Costs
-    of a third of an episode (12 training seeds): 10 for `nominal`, all of it `cost_lane`, and 0.1 for `oracle`.
-    `stop_on_alert` collides with the slower vehicle.
+    `keep_lane=False`: `cost_lane` counts beyond the edges of the road and `cost_lane_integrity` is 0. Because the car
+    cannot slow down, an alert permits 10 m/s (`cost.alert_speed_share` is 1). `cost_limit` is 10. Costs of a third of
+    an episode (12 training seeds): 10 for `nominal`, all of it `cost_lane`, and 0.1 for `oracle`. `stop_on_alert`
+    collides with the slower vehicle.
 
     ## Starting State
     In the middle of either lane of the first straight, 20 to 50 m along it, at 10 m/s; the other vehicle in the first

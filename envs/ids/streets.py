@@ -28,13 +28,13 @@ class LaneKeeping(Preset):
     stays between 0 and 20 m/s.
 
     ## Observation Space
-    As above; `traffic` is always empty.
+    `traffic` is always empty.
 
     ## Rewards
     As above.
 
     ## Costs
-    As above; `cost_headway` is always 0. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs (24 training seeds):
+    `cost_headway` is always 0. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs (24 training seeds):
     `stop_on_alert` 4, `integrity_aware` 14, a driver that ignores alerts 50.
 
     ## Starting State
@@ -73,17 +73,16 @@ class CarFollowing(Preset):
     bound both protection levels.
 
     ## Action Space
-    `Box(-1.0, 1.0, (2,), float32)` at 5 Hz: acceleration (1 is 6 m/s2), steering (1 is 0.4 rad to the right). The speed
-    stays between 0 and 20 m/s.
+    `Box(-1.0, 1.0, (2,), float32)` at 5 Hz, as in LaneKeeping.
 
     ## Observation Space
-    As above; `traffic` contains the vehicle ahead only.
+    `traffic` contains the vehicle ahead only.
 
     ## Rewards
     As above.
 
     ## Costs
-    As above; `cost_headway` dominates. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs (24 training seeds):
+    `cost_headway` dominates. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs (24 training seeds):
     `stop_on_alert` 3, `integrity_aware` 23, a driver that ignores alerts 52.
 
     ## Starting State
@@ -97,8 +96,8 @@ class CarFollowing(Preset):
     `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 2.67 to 3.21 km), `lane_width` (3.25 m),
     `standstill_gap` (2 m), `time_gap` ([0.8, 1.0] s), `lead` (speed profile: keys of `SpeedProfileConfig`), `duration`
     (120 s), `platoon` (1; vehicles ahead, up to 4). In a platoon the first drives the profile; each of the others
-    follows by IDM with a lag of 1 s, and hides those ahead of it from the sensor. When the first brakes, the last does
-    so seconds later; until then only messages tell ([remote braking](results/where-levels-decide.md)).
+    follows by IDM with a lag of 1 s, and hides those ahead of it from the sensor: only messages show at once that the
+    first brakes ([remote braking](results/where-levels-decide.md)).
 
     ## Version History
     * v0: first version.
@@ -134,7 +133,7 @@ class UrbanCanyon(Preset):
     As above.
 
     ## Costs
-    As above. An alert permits 6.9 m/s (target speed 5.6 m/s) without a lane change. `cost_limit` is 40. Mean costs (12
+    An alert permits 6.9 m/s (target speed 5.6 m/s) without a lane change. `cost_limit` is 40. Mean costs (12
     training seeds): `stop_on_alert` 6 (it hardly moves), `integrity_aware` 56, `nominal` 221.
 
     ## Starting State

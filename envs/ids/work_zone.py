@@ -20,9 +20,8 @@ class WorkZone(Preset):
     Obstacles of 2 m stand in the middle of the closed lane every 10 m. Up to 6 other vehicles see them and change lane.
 
     The map does not have the closure. A roadside unit at its start sends lane, start, end and limit in coordinates of
-    the map, 10 times a second, by the [channel](#perception) of `v2v`: the message arrives up to 300 m before. Sensors
-    of the car do not see the obstacles. So where the closure begins for the car, and which lane the car is in, is known
-    as well as the pose is.
+    the map, 10 times a second, by the [channel](#perception) of `v2v`, which reaches 300 m. Sensors of the car do not
+    see the obstacles, so the car knows start and lane of the closure only as well as its pose.
 
     Difficulty: the alert limits come from a [budget](#alert-limits). Across, 0.3 m are left in a lane of 2.8 m. Along,
     the limit falls before the closure, as behind a vehicle that stands there. A lane change under an alert costs, so
@@ -32,14 +31,14 @@ class WorkZone(Preset):
     `Discrete(5)` at 2 Hz, with the target speeds 0, 2.8, 5.6, 8.4, 11.2 and 14 m/s: lanes are to be changed.
 
     ## Observation Space
-    As above, with seven entries `road.closure_*` (`observation.closure`): whether the message has arrived, distances to
+    Seven more entries `road.closure_*` (`observation.closure`): whether the message has arrived, distances to
     start and end of the closure from the estimated pose, whether the left, own or right lane closes, and the limit.
 
     ## Rewards
-    As above; the limit is that beside the closure there.
+    Beside the closure v_limit is the limit there.
 
     ## Costs
-    As above, with the [prices](#priced-ids) of stopping. `cost_limit` is 7, the 0.7 quantile of `integrity_aware` over
+    Stopping has a [price](#priced-ids). `cost_limit` is 7, the 0.7 quantile of `integrity_aware` over
     20 training seeds, rounded up. Mean costs (48 training seeds): `integrity_aware` 7, `nominal` 12, `stop_on_alert`
     27 ([other skies](results/where-levels-decide.md)).
 

@@ -40,7 +40,7 @@ __all__ = ["GROUPS", "LANES", "OBSERVATION_INDEX", "Entry", "Observed", "Source"
 GROUPS = ("ego", "integrity", "road", "traffic")
 LANES = ("left", "own", "right")
 RTK_MORE = {
-    RtkStatus.FIXED: "; used where mode_rtk is 1, after its confirmation (confirm_s)",
+    RtkStatus.FIXED: "; used where mode_rtk is 1",
     RtkStatus.FAULT: "; or the jump monitor refused it",
 }
 """What the advice of a status does not say of its flag."""
@@ -150,7 +150,7 @@ def _integrity(c: ObservationConfig) -> list[Entry]:
 
 def _levels(c: ObservationConfig) -> list[Entry]:
     g, pl, most = _Group("integrity"), c.pl_max_m, c.elapsed_max_s
-    change = f"change of the protection level, limited to {pl:g} m, in the last {c.trend_window_s:g} s"
+    change = f"change of the protection level, limited to {pl:g} m, in {c.trend_window_s:g} s"
     out = []
     for axis, name in (("at", "along track"), ("ct", "across track")):
         out += [
@@ -160,7 +160,7 @@ def _levels(c: ObservationConfig) -> list[Entry]:
             g.positive(f"ratio_{axis}", "", c.ratio_max, f"PL / AL {name}; 1 when missing", f"view.ratio_{axis}"),
             g.signed(f"margin_{axis}", "m", pl, f"AL - PL {name}, safe when >= 0; -1 when missing",
                      f"view.margin_{axis}_m"),
-            g.signed(f"trend_{axis}", "m", pl, f"{change}, {name}; early in an episode since its start",
+            g.signed(f"trend_{axis}", "m", pl, f"{change}, {name}",
                      f"view.trend_{axis}_m"),
         ]  # fmt: skip
     return [
@@ -180,10 +180,10 @@ def _levels(c: ObservationConfig) -> list[Entry]:
         g.positive("corrections_age", "s", most,
                    "age of the data of the reference station; 1 during an outage of the link",
                    "belief.corrections_age_s"),
-        g.positive("satellites", "", c.satellites_max, "number of satellites used by RTK", "belief.satellites"),
-        g.positive("satellites_doppler", "", c.satellites_max, "number of satellites used for the Doppler velocity",
+        g.positive("satellites", "", c.satellites_max, "satellites used by RTK", "belief.satellites"),
+        g.positive("satellites_doppler", "", c.satellites_max, "satellites used for the Doppler velocity",
                    "belief.satellites_doppler"),
-        g.positive("excluded", "", c.excluded_max, "number of satellites excluded by fault detection in this epoch",
+        g.positive("excluded", "", c.excluded_max, "satellites excluded by fault detection in this epoch",
                    "belief.excluded"),
         g.positive("hdop", "", c.hdop_max, "horizontal dilution of precision; 1 without satellites", "belief.hdop"),
         *([g.positive("sdop", "", c.sdop_max, "speed dilution of precision of the Doppler velocity; 1 without one",
@@ -251,13 +251,13 @@ def _road(c: ObservationConfig) -> list[Entry]:
     ]  # fmt: skip
     out += _closure(c, g) if c.closure else []
     for n, d in enumerate(c.preview_m):
-        where = f"of the centreline of the route {d:g} m ahead"
+        where = f"of the route {d:g} m ahead"
         out += [
             g.flag(f"preview_{d:g}m_exists", f"the map has the route {d:g} m ahead; else it is extended straight",
                    f"preview[{n}].exists"),
-            g.signed(f"preview_{d:g}m_ahead", "m", d, f"point {where}: distance along the heading of the car",
+            g.signed(f"preview_{d:g}m_ahead", "m", d, f"centreline {where}: along the heading of the car",
                      f"preview[{n}].ahead_m"),
-            g.signed(f"preview_{d:g}m_right", "m", d, f"point {where}: distance to the right of the car",
+            g.signed(f"preview_{d:g}m_right", "m", d, f"centreline {where}: to the right of the car",
                      f"preview[{n}].right_m"),
             g.signed(f"preview_{d:g}m_heading", "rad", pi, f"direction {where} relative to the heading of the car",
                      f"preview[{n}].heading_rad"),
@@ -265,7 +265,7 @@ def _road(c: ObservationConfig) -> list[Entry]:
                      f"curvature {where}, positive for right turns", f"preview[{n}].curvature_pm"),
         ]  # fmt: skip
     for n, d in enumerate(c.satellites_m):
-        text = f"predicted number of satellites in line of sight {d:g} m ahead; -1 without a prediction or lane"
+        text = f"satellites predicted in line of sight {d:g} m ahead; -1 without a prediction or lane"
         out += [
             g.signed(f"sky_{d:g}m_{lane}", "", c.satellites_max, f"{lane} lane: {text}", f"sky[{3 * n + k}]")
             for k, lane in enumerate(LANES)
@@ -295,13 +295,13 @@ def _traffic(c: ObservationConfig) -> list[Entry]:
 
 def _vehicle(c: ObservationConfig, row: int) -> list[Entry]:
     g, p, v = _Group("traffic"), f"v{row}_", f"vehicle[{row}]"
-    text = "own level (0 if perceived by the sensor) plus half the extent of the box of its levels"
+    text = "own level (0 if seen by the sensor) plus half the extent of its levels"
     out = [
         g.flag(p + "present", "a vehicle is perceived; if not: ahead, lane_gap, age and levels are 1, the rest 0",
                f"{v}.present"),
-        g.signed(p + "ahead", "m", c.range_m, "distance between the middles along the heading of the car",
+        g.signed(p + "ahead", "m", c.range_m, "distance of its middle along the heading of the car",
                  f"{v}.ahead_m"),
-        g.signed(p + "right", "m", c.range_m, "distance between the middles to the right of the car", f"{v}.right_m"),
+        g.signed(p + "right", "m", c.range_m, "distance of its middle to the right of the car", f"{v}.right_m"),
         g.signed(p + "velocity_ahead", "m/s", c.speed_max_mps, "relative velocity along the heading of the car",
                  f"{v}.velocity_ahead_mps"),
         g.signed(p + "velocity_right", "m/s", c.speed_max_mps, "relative velocity to the right of the car",
@@ -309,7 +309,7 @@ def _vehicle(c: ObservationConfig, row: int) -> list[Entry]:
         g.signed(p + "heading_sin", "", 1.0, "sine of its heading relative to the car", f"{v}.heading_sin"),
         g.signed(p + "heading_cos", "", 1.0, "cosine of its heading relative to the car", f"{v}.heading_cos"),
         g.signed(p + "lane_gap", "m", c.range_m,
-                 "distance between the middles along the route; -1 or 1 if not beside it",
+                 "distance of its middle along the route; -1 or 1 if not beside it",
                  f"{v}.lane_gap_m"),
         g.signed(p + "lane_offset", "m", c.offset_max_m,
                  "offset from the centreline of the route; -1 or 1 if not beside it",
@@ -321,7 +321,7 @@ def _vehicle(c: ObservationConfig, row: int) -> list[Entry]:
         g.positive(p + "length", "m", c.length_max_m, "length of the vehicle", f"{v}.length_m"),
         g.positive(p + "width", "m", c.width_max_m, "width of the vehicle", f"{v}.width_m"),
         g.positive(p + "age", "s", c.age_max_s, "age of the measurement", f"{v}.age_s"),
-        g.flag(p + "sensor", "1: perceived by the sensor of the car; 0: by broadcasts of the vehicle", f"{v}.sensor"),
+        g.flag(p + "sensor", "1: perceived by the sensor of the car; 0: by broadcasts", f"{v}.sensor"),
         g.flag(p + "pl_exists", "the two protection levels below exist", f"{v}.pl_exists"),
         g.positive(p + "pl_at", "m", 2.0 * c.pl_max_m, f"along the heading of the car: {text}; 1 when missing",
                    f"{v}.pl_at_m"),
