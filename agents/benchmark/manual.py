@@ -17,7 +17,7 @@ from lanebound.agents.benchmark.metrics import METRICS
 from lanebound.agents.benchmark.results import CSV_COLUMNS, ESTIMATE_COLUMNS, PAIRED_COLUMNS
 from lanebound.agents.benchmark.statistics import RESAMPLES, VERDICT_SEEDS, seeds_to_exclude
 from lanebound.agents.benchmark.store import stored_columns
-from lanebound.agents.benchmark.suite import TEST, TRAIN, SuiteConfig, flat_changes, load_suite
+from lanebound.agents.benchmark.suite import TEST, TRAIN, SuiteConfig, load_suite
 from lanebound.agents.benchmark.untuned import tuned_places
 from lanebound.agents.benchmark.verdicts import MARGIN
 from lanebound.agents.drivers import ABOUT
@@ -83,19 +83,18 @@ def _drivers() -> str:
 
 
 def _suites() -> str:
-    head = ("suite", "question", "environments", "skies", "faults", "agents", "seeds", "changes of all environments")
+    head = ("suite", "question", "environments", "skies", "faults", "agents", "seeds")
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     for name in SUITES:
         s = load_suite(name)
         faults = ", ".join(fault.value for fault in s.faults)
         everything = len(s.envs) == len(CLASSES)
         envs = "all" if everything else ", ".join(env.removesuffix("-v0") for env in s.envs)
-        agents = ", ".join(f"`{agent}`" for agent in s.agents)
-        changed = ", ".join(f"`{key}: {value}`" for key, value in flat_changes(s.overrides).items()) or "-"
+        packaged = [f"`{agent}`" for agent in s.agents if agent in ABOUT]
+        more = len(s.agents) - len(packaged)
+        agents = ", ".join([*packaged, *([f"{more} of its own"] if more else [])])
         seeds = f"{s.seeds.count} after {s.seeds.skip:,}" if s.seeds.skip else f"{s.seeds.count}"
-        lines.append(
-            f"| `{name}` | {s.title} | {envs} | {', '.join(s.skies)} | {faults} | {agents} | {seeds} | {changed} |"
-        )
+        lines.append(f"| `{name}` | {s.title} | {envs} | {', '.join(s.skies)} | {faults} | {agents} | {seeds} |")
     return "\n".join(lines)
 
 

@@ -93,12 +93,11 @@ def _cause(cause: str) -> Metric:
 
 def _over(group: str) -> Metric:
     """Whether the weighted costs of a group exceeded their own limit; None where they have none."""
-    causes = " and ".join(GROUPS[group])
     return _rate(
         f"over_{group}_limit",
         f"over {group} limit",
         "lower",
-        f"the weighted {causes} exceeded cost_limits.{group}",
+        "the weighted costs of this group exceeded its limit in cost_limits",
         _driven(lambda o: float(o.group_costs[group] > o.cost_limits[group]) if group in o.cost_limits else None),
     )
 
