@@ -1,4 +1,4 @@
-"""The page of a study: harm of every arm in every place, and differences of arms, from stored trainings.
+"""The page of a study: arms and their harm in every place, and a file of differences, from stored trainings.
 
 ``python -m lanebound.agents.studies.learning_page docs/value_of_integrity.json docs`` writes ``value_of_integrity.md``,
 ``value_of_integrity-differences.csv`` and the learning curves into ``docs``, and prints the table of the results. With
@@ -153,7 +153,8 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
         "",
         f"{len(trainings)} trainings (`configs/studies/{name}.yaml`), each evaluated on {study.test_seeds} held-out"
         f" episodes ({episodes} in all).",
-        f"Hypotheses and conclusions: [results](results/learning-study.md). `{name}.json` has every episode.",
+        f"Hypotheses and conclusions: [results](results/learning-study.md). `{name}.json` has every episode,",
+        f"[{name}-differences.csv]({name}-differences.csv) the differences of arms in each place.",
         f"`python -m lanebound.agents.studies.learning_page docs/{name}.json docs` makes this page.",
         "",
         "- Values are means over trainings; intervals are 95 %, of Student's distribution.",
@@ -182,12 +183,6 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
         "off the road:",
         "",
         _harm(study, places),
-        "",
-        "## Differences",
-        "",
-        f"Differences in places where a p is below 1; [{name}-differences.csv]({name}-differences.csv) has all:",
-        "",
-        _with_p(differences(study, places)),
     ]
     return "\n".join(lines) + "\n"
 
@@ -249,14 +244,6 @@ def differences(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]])
         if (less := place["arms"].get(arm, {"less": {}})["less"].get(other)) and less["cost"]["n"]
     ]
     return ("arm", "less", "place", *PRIMARY), rows
-
-
-def _with_p(table: Table) -> str:
-    """The rows of which a p is below 1."""
-    shown = [(f"`{arm}` - `{other}`", *cells) for arm, other, *cells in table[1] if ", p " in " ".join(cells)]
-    pairs = [pair for pair, *_ in shown]
-    rows = [("" if n and pairs[n - 1] == pair else pair, *cells) for n, (pair, *cells) in enumerate(shown)]
-    return text_of(("", "", *PRIMARY), rows)
 
 
 def _place(place: Mapping[str, Any]) -> str:

@@ -93,7 +93,7 @@ def test_pages_are_written_of_what_is_there(tmp_path: Path) -> None:
     page = (tmp_path / f"{NAME}.md").read_text(encoding="utf-8")
     assert "5 trainings (" in page
     assert "| LaneKeeping, urban | 14±0 at 14±0 (2) |" in table
-    assert "## Differences" in page
+    assert "## Harm" in page
     lines = (tmp_path / f"{NAME}-differences.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "arm,less,place,return,cost,harm"
     assert lines[1].startswith('taught,lagrangian,"LaneKeeping, urban","26 [26, 26]"')
