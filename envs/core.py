@@ -66,7 +66,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `road` | from the map: speed limit, route 5 to 80 m ahead, predicted satellites 0 to 160 m ahead on three lanes |
     | `traffic` | the 6 nearest perceived vehicles: position, speed, heading, lane, age, and PL of both on each axis |
 
-    For a missing protection level the flag `..._exists` is 0, level and ratio are 1 and the margin is -1.
+    `observation.vehicles`, `preview_m` and `satellites_m` set these numbers and distances. For a missing protection
+    level the flag `..._exists` is 0, level and ratio are 1 and the margin is -1.
 
     | `observation.integrity` | effect |
     |---|---|

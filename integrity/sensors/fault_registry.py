@@ -246,8 +246,8 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="wrong_fix",
-        summary="RTK fixes wrong integers: the candidate of a rank by fit that moves the position to the side of the "
-        "azimuth, or the right ones plus cycles, of a satellite, a system or `integers`",
+        summary="RTK fixes wrong integers: the n-th best (rank) of those that move the position to the side of the "
+        "azimuth, or the right ones plus cycles (of a satellite, a system or `integers`)",
         apply=_wrong_fix,
         magnitudes=(
             Magnitude("rank", "magnitude_rank", ge=1, le=MOST_RANK, signed=False, whole=True),
