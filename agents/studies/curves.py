@@ -206,7 +206,7 @@ def tables(found: Mapping[str, Any]) -> dict[str, Table]:
 
 def _final(found: Mapping[str, Any]) -> Table:
     rows = [
-        (part["env"], f"{part['limit']:g}", f"`{name}`", *(_shown(_estimate(episodes, key)) for key in SHOWN))
+        (part["env"], f"{part['limit']:g}", f"`{name}`", *(_shown(_estimate(episodes, key), key) for key in SHOWN))
         for part in found["ids"].values()
         for name, episodes in part["final"].items()
     ]
@@ -246,8 +246,10 @@ def save_curves(found: Mapping[str, Any], folder: Path) -> Path:
     return save(curves_figure(found), folder / FIGURE)
 
 
-def _shown(value: Estimate) -> str:
-    ends = "" if value.low is None else f" [{value.low:.3g}, {value.high:.3g}]"
+def _shown(value: Estimate, key: str) -> str:
+    """A mean; of return and cost with its interval."""
+    shown = key in ("return", "cost") and value.low is not None
+    ends = f" [{value.low:.3g}, {value.high:.3g}]" if shown else ""
     return f"{value.mean:.3g}{ends}"
 
 
