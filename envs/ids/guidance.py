@@ -29,8 +29,8 @@ class Guidance(Preset):
     whether the other road is possible.
 
     ## Action Space
-    `Discrete(5)` at 2 Hz, with the target speeds 0, 4.6, 9.3, 13.9, 18.5, 23.2 and 27.8 m/s. A change of lane is to the
-    lane beside the one that the camera sees.
+    `Discrete(5)` at 2 Hz, with the target speeds 0, 4.6, 9.3, 13.9, 18.5, 23.2 and 27.8 m/s. Lane changes
+    start from the lane that the camera sees.
 
     ## Observation Space
     With the entries of a [lane sensor](#lane-sensor).
