@@ -1,7 +1,7 @@
 """The page of a study: arms and their harm in every place, and a file of differences, from stored trainings.
 
-``python -m lanebound.agents.studies.learning_page docs/value_of_integrity.json docs`` writes ``value_of_integrity.md``,
-``value_of_integrity-differences.csv`` and the learning curves into ``docs``, and prints the table of the results. With
+``python -m lanebound.agents.studies.learning_page docs/value_of_integrity.json out`` writes ``value_of_integrity.md``,
+``value_of_integrity-differences.csv`` and the learning curves into ``out``, and prints the table of the results. With
 folders of the study after that, as ``out/study=4518748`` with the commit that learnt there, it first makes the file of
 their parts: checkpoints and episodes of each training by columns.
 """
@@ -153,9 +153,7 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
         "",
         f"{len(trainings)} trainings (`configs/studies/{name}.yaml`), each evaluated on {study.test_seeds} held-out"
         f" episodes ({episodes} in all).",
-        f"Hypotheses and conclusions: [results](results/learning-study.md). `{name}.json` has every episode,",
-        f"[{name}-differences.csv]({name}-differences.csv) the differences of arms in each place.",
-        f"`python -m lanebound.agents.studies.learning_page docs/{name}.json docs` makes this page.",
+        f"`{name}.json` has every episode, `{name}-differences.csv` the differences of arms in each place.",
         "",
         "- Values are means over trainings; intervals are 95 %, of Student's distribution.",
         "- A training keeps the limit if the mean cost of its episodes is at most `cost_limit`.",
