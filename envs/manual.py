@@ -65,6 +65,7 @@ def markdown() -> str:
         "FAULT_KINDS": _fault_table(),
         "LANE_SENSOR": _table(("key of `lane_sensor`", "default", "meaning"), keys),
         "KEYS": _keys(),
+        "ENTRIES": str(len(OBSERVATION_INDEX)),
         "INDEX": _index(),
     }
     page = files("lanebound.envs").joinpath("manual.md").read_text(encoding="utf-8")
@@ -174,59 +175,47 @@ def _fault_row(kind: FaultKind) -> list[str]:
 
 
 def _index() -> str:
-    """Every entry of the default observation; entries that repeat for vehicles and distances stand once."""
-    places: dict[tuple[str, str], list[tuple[int, Entry]]] = {}
-    for place, entry in enumerate(OBSERVATION_INDEX):
-        places.setdefault((entry.group, _pattern(entry.name)), []).append((place, entry))
-    parts = [
-        "## Observation index",
-        f"{len(OBSERVATION_INDEX)} entries by default. An entry is a quantity divided by the end of its range. `flat`"
-        " is the position in\nthe flat form. i counts vehicles (0: the nearest), distances d and axes (0 `at`, 1 `ct`)."
-        " A configuration may add\nentries, such as those of services: select entries by name. `lanebound envs ID`"
-        " prints the index of an id, with `--set`\nthat of another configuration.",
-        "```pycon\n>>> from lanebound.envs.observation import entries\n"
-        '>>> changes = {"sky": "open", "navigator": "services/spp"}\n'
-        '>>> env = gymnasium.make("lanebound/LaneKeeping-v0", config=changes)\n'
-        ">>> observation, info = env.reset(seed=1)\n"
-        ">>> shown = entries(env.unwrapped.config.observation)\n"
-        '>>> names = [entry.name for entry in shown if entry.group == "integrity"]\n'
-        '>>> float(observation["integrity"][names.index("mode_spp")]), info["mode"]\n(1.0, 5)\n\n```',
-    ]
+    """Every entry of the default observation; entries that repeat for vehicles, distances and sides stand once."""
+    members: dict[tuple[str, str], list[Entry]] = {}
+    for entry in OBSERVATION_INDEX:
+        members.setdefault((entry.group, _pattern(entry.name)), []).append(entry)
+    parts = []
     for group in GROUPS:
-        rows = [_row(pattern, members) for (of, pattern), members in places.items() if of == group]
-        parts += [f"### {group}", _table(("flat", "entry", "range", "meaning"), rows)]
+        rows = [_row(pattern, entries) for (of, pattern), entries in members.items() if of == group]
+        parts += [f"### {group}", _table(("entry", "range", "meaning"), rows)]
     return "\n\n".join(parts)
 
 
 DISTANCE = re.compile(r"(?<=_)(\d+)(?=m(_|$))")
-AXIS = re.compile(r"^(pl|al|ratio|margin|trend)_(at|ct)(?=_|$)")
+AXIS = re.compile(r"^(v\{i\}_)?(pl|al|ratio|margin|trend)_(at|ct)(?=_|$)")
+SIDE = re.compile(r"^left(?=_exists)|^right(?=_exists)|(?<=^target_)(left|right)|(?<=^sky_\{d\}m_)\w+")
 ONE_OF = re.compile(r"^(reason|mode)_(\w+)$")
 
 
 def _pattern(name: str) -> str:
-    """A name without the number of a vehicle or distance, the axis, or the case of which one flag is set."""
-    plain = AXIS.sub(r"\1_{axis}", ONE_OF.sub(r"\1_{case}", re.sub(r"^v\d+_", "v{i}_", name)))
-    return DISTANCE.sub("{d}", plain)
+    """A name without the number of a vehicle or distance, the axis, the side, or the case of which one flag is set."""
+    plain = ONE_OF.sub(r"\1_{case}", re.sub(r"^v\d+_", "v{i}_", name))
+    return SIDE.sub("{side}", DISTANCE.sub("{d}", AXIS.sub(r"\1\2_{axis}", plain)))
 
 
-def _row(pattern: str, members: list[tuple[int, Entry]]) -> list[str]:
-    (first, entry), *more = members
-    flat, meaning = str(first), entry.meaning
+def _row(pattern: str, members: list[Entry]) -> list[str]:
+    entry = members[0]
+    meaning = entry.meaning
     if pattern.endswith("_{case}"):
-        cases = ", ".join(f"`{member.name.partition('_')[2]}`" for _, member in members)
-        return [f"{first} to {members[-1][0]}", f"`{pattern}`", "flag", f"one flag for each {pattern[:-7]}: {cases}"]
-    if more:
-        flat = f"{first} + {more[0][0] - first} i"
+        cases = ", ".join(f"`{member.name.partition('_')[2]}`" for member in members)
+        return [f"`{pattern}`", "flag", f"one flag for each {pattern[:-7]}: {cases}"]
     found = DISTANCE.search(entry.name)
     if found is not None:
         meaning = meaning.replace(f"{found[1]} m", "d")
     if "{axis}" in pattern:
-        meaning = meaning.replace("along track", "on the axis")
-    scale = f"{entry.scale:.4g}" if len({other.scale for _, other in members}) == 1 else "d"
+        meaning = meaning.replace("along track", "on the axis").replace("along the heading of the car", "on the axis")
+    if "{side}" in pattern:
+        meaning = re.sub(r"\bleft\b", "{side}", meaning)
+    scale = f"{entry.scale:.4g}" if len({other.scale for other in members}) == 1 else "d"
     reach = f"0 to {scale}" if entry.low == 0.0 else f"±{scale}"
     is_flag = (entry.low, entry.scale, entry.unit) == (0.0, 1.0, "") and not entry.name.endswith("_share")
     shown = "flag" if is_flag else f"{reach} {entry.unit}".strip()
-    return [flat, f"`{pattern}`", shown, meaning]
+    return [f"`{pattern}`", shown, meaning]
 
 
 if __name__ == "__main__":

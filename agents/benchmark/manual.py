@@ -131,8 +131,8 @@ def _merged(rows: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
 
 
 def _columns() -> str:
-    rows = [(c.name, (c.kind, _united(c.meaning, c.unit))) for c in stored_columns()]
-    return "\n".join(["| column | type | meaning |", "|---|---|---|", *_merged(rows)])
+    rows = [(c.name, (_united(c.meaning, c.unit),)) for c in stored_columns()]
+    return "\n".join(["| column | meaning |", "|---|---|", *_merged(rows)])
 
 
 if __name__ == "__main__":
