@@ -182,8 +182,8 @@ class Intersection(Preset):
 
     ## Costs
     Weights of 40 for `cost_conflict` and 0.02 for `cost_lane_integrity`: a conflict with T2 < 1.42 s exceeds the limit,
-    a level alone does not. An alert permits 5 m/s. `cost_limit` is 2, the 0.7 quantile of `integrity_aware` over 20
-    training seeds, rounded up.
+    a large protection level alone does not. An alert permits 5 m/s. `cost_limit` is 2, the 0.7 quantile of
+    `integrity_aware` over 20 training seeds, rounded up.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.

@@ -28,7 +28,7 @@ class WorkZone(Preset):
     the car has to change while levels are small.
 
     ## Action Space
-    `Discrete(5)` at 2 Hz, with the target speeds 0, 2.8, 5.6, 8.4, 11.2 and 14 m/s: lanes are to be changed.
+    `Discrete(5)` at 2 Hz, with the target speeds 0, 2.8, 5.6, 8.4, 11.2 and 14 m/s.
 
     ## Observation Space
     Seven more entries `road.closure_*` (`observation.closure`): whether the message has arrived, distances to
@@ -47,7 +47,7 @@ class WorkZone(Preset):
     behind to 250 m ahead, at 8.3 to 12.5 m/s.
 
     ## Episode End
-    Truncated after 60 s. A success requires 0.5 of the possible speed: half the speed limit gives 5.6 m/s, 0.46 of it.
+    Truncated after 60 s. A success requires 0.5 of the possible speed; at half the speed limit it is 0.46.
 
     ## Arguments
     `config["world"]`: `lanes_count` (2), `lane_width` (2.8 m), `ahead` ([200, 400] m), `closed_length` (100 m),
