@@ -130,8 +130,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
       (`integrity.permitted_speed`).
     - `cost_blocking`: v_flow is the least of limit, fastest command, comfortable speed in a bend, speed of a vehicle
       less than 4 s ahead, and speed from which the car stops in comfort before its lane ends. Under an alert the
-      permitted speed replaces `0.7 v_flow` if it is less. The cost is 0 behind a vehicle that stands, and while another
-      one crosses the next 30 m of the way within 7.1 s (HCM 2010).
+      permitted speed replaces `0.7 v_flow` if it is less. The cost is 0 behind a vehicle that stands, while another
+      one crosses the next 30 m of the way within 7.1 s (HCM 2010), and without a weight.
     - With a [lane sensor](#lane-sensor) lane, offset and bound are those of the camera.
 
     `cost_limit` is the limit of an episode's cost for constrained learning; it is not enforced. `cost_limits` adds
