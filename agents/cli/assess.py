@@ -232,14 +232,17 @@ def decisions(
 
     Example: lanebound assess decisions --out out/decisions --env Guidance --seeds 8
     """
-    from lanebound.agents.report.pages import require_page
+    from lanebound.agents.report.pages import fill, require_page
     from lanebound.agents.studies.decisions import SECTIONS, DecisionsConfig, assess_decisions, tables
 
     if page is not None:
-        require_page(page, SECTIONS)
+        require_page(page, SECTIONS[:1])
     config = DecisionsConfig.load(changes(assignments, envs=env, seeds=seeds))
     found = carry_out(out, "place", lambda report: assess_decisions(config, out, jobs, report))
-    show_study(found, tables(found), out, page, as_json)
+    shown = tables(found)
+    if page is not None:  # the other tables have hundreds of rows: they are printed, and in results.json
+        fill(page, {SECTIONS[0]: shown[SECTIONS[0]]})
+    show_study(found, shown, out, None, as_json)
 
 
 @app.command("monitors")

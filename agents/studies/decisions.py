@@ -20,7 +20,7 @@ from pydantic import field_validator
 
 from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
-from lanebound.agents.benchmark.statistics import VERDICT_SEEDS, difference, estimate, holm
+from lanebound.agents.benchmark.statistics import VERDICT_SEEDS, Difference, difference, estimate, holm
 from lanebound.agents.benchmark.suite import SPLITS, Split
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.drivers.base import Reader
@@ -49,6 +49,7 @@ SECTIONS = ("decides", "position", "outcome", "causes")
 READS = "integrity_aware"
 DRIVERS: dict[str, str] = {"nominal": "nominal", "fixed": "clock", "clock": "clock", READS: READS}
 """Agents of the study, by their names in it."""
+JUDGED = ("harm", "cost")
 SUMS = ("cost", "available", "alert", "wrong_road", "hmi_share", "speed_mps")
 ENDS = (("success", "is_success"), ("lost", "lost"), ("crashed", "crashed"), ("off_road", "off_road"))
 
@@ -226,43 +227,53 @@ def _each(found: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any
 
 
 def _decided(found: Mapping[str, Any]) -> Table:
-    """``integrity_aware`` less each other driver, seed by seed; bold where it is clear after Holm's method."""
+    """Harm and cost of each driver at its throughput, and what levels save against the clock, seed by seed.
+
+    The last column says where a level decides: the figures in which ``integrity_aware`` is clearly below each other
+    driver, after Holm's method over all rows, figures and drivers.
+    """
     others = [name for name in found["config"]["drivers"] if name != READS]
     changes = {
-        (env, navigator, other, key): difference(np.array(drivers[READS][key]), np.array(drivers[other][key]), "lower")
-        for env, navigator, drivers in _each(found)
+        (place, other, key): difference(np.array(drivers[READS][key]), np.array(drivers[other][key]), "lower")
+        for place, (_, _, drivers) in enumerate(_each(found))
         if READS in drivers
         for other in others
-        for key in ("harm", "cost")
+        for key in JUDGED
     }
     adjusted = dict(zip(changes, holm([1.0 if c.p is None else c.p for c in changes.values()]), strict=True))
+    against = "clock" if "clock" in others else others[-1] if others else READS
     rows = []
-    for env, navigator, drivers in _each(found):
-        if READS not in drivers:
-            continue
-        available = 100.0 * np.mean(drivers[others[0] if others else READS]["available"])
-        cells = [_harm_at(drivers[name]) for name in (*others, READS)]
-        cells += [
-            _change(changes[env, navigator, other, key], adjusted[env, navigator, other, key])
-            for other in others
-            for key in ("harm", "cost")
-        ]
-        rows.append((env, navigator, f"{available:.3g}", *cells))
-    less = [f"{key}, less `{other}`" for other in others for key in ("harm", "cost")]
-    return ("id", "navigator", "available [%]", *(f"`{name}`" for name in (*others, READS)), *less), rows
+    for place, (env, navigator, drivers) in enumerate(_each(found)):
+        available = f"{100.0 * np.mean(drivers[found['config']['drivers'][0]]['available']):.3g}"
+        less, decides = ["-", "-"], "-"
+        if READS in drivers and others:
+            less = [_change(changes[place, against, key]) for key in JUDGED]
+            clear = [
+                key
+                for key in JUDGED
+                if all(_is_less(changes[place, other, key], adjusted[place, other, key]) for other in others)
+            ]
+            decides = ", ".join(clear) or "no"
+        rows.append((env, navigator, available, *(_harm_at(part) for part in drivers.values()), *less, decides))
+    heads = ("id", "navigator", "available [%]", *(f"`{name}`" for name in found["config"]["drivers"]))
+    return (*heads, *(f"{key}, less `{against}`" for key in JUDGED), "decides"), rows
+
+
+def _is_less(change: Difference, p: float) -> bool:
+    """Whether a difference is clearly below 0, with an adjusted p-value."""
+    below = change.difference is not None and change.difference < 0.0
+    return below and p <= 0.05 and change.n >= VERDICT_SEEDS
 
 
 def _harm_at(part: Mapping[str, Any]) -> str:
-    """Harm at throughput, and cost."""
-    return f"{np.mean(part['harm']):.3g} at {np.mean(part['throughput_mps']):.3g}; {np.mean(part['cost']):.3g}"
+    """Harm, cost and throughput."""
+    return f"{np.mean(part['harm']):.3g}, {np.mean(part['cost']):.3g} at {np.mean(part['throughput_mps']):.3g}"
 
 
-def _change(change: Any, p: float) -> str:
+def _change(change: Difference) -> str:
     """A mean difference with its interval."""
-    clear = p <= 0.05 and change.n >= VERDICT_SEEDS
-    mark = "**" if clear else ""
     interval = "" if change.low is None else f" ({change.low:.2g} to {change.high:.2g})"
-    return f"{mark}{change.difference:.2g}{mark}{interval}"
+    return f"{change.difference:.2g}{interval}"
 
 
 def _positions(found: Mapping[str, Any]) -> Table:
