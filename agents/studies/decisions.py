@@ -50,6 +50,7 @@ READS = "integrity_aware"
 DRIVERS: dict[str, str] = {"nominal": "nominal", "fixed": "clock", "clock": "clock", READS: READS}
 """Agents of the study, by their names in it."""
 JUDGED = ("harm", "cost")
+EQUAL = 0.95  # of the throughput of the clock: from here on it counts as equal, chosen
 SUMS = ("cost", "available", "alert", "wrong_road", "hmi_share", "speed_mps")
 ENDS = (("success", "is_success"), ("lost", "lost"), ("crashed", "crashed"), ("off_road", "off_road"))
 
@@ -230,7 +231,7 @@ def _decided(found: Mapping[str, Any]) -> Table:
     """Harm and cost of each driver at its throughput, and what levels save against the clock, seed by seed.
 
     The last column says where a level decides: the figures in which ``integrity_aware`` is clearly below each other
-    driver, after Holm's method over all rows, figures and drivers.
+    driver, after Holm's method over all rows, figures and drivers; and whether it is slower than the clock.
     """
     others = [name for name in found["config"]["drivers"] if name != READS]
     changes = {
@@ -254,6 +255,8 @@ def _decided(found: Mapping[str, Any]) -> Table:
                 if all(_is_less(changes[place, other, key], adjusted[place, other, key]) for other in others)
             ]
             decides = ", ".join(clear) or "no"
+            if clear and _throughput(drivers[READS]) < EQUAL * _throughput(drivers[against]):
+                decides += ", slower"
         rows.append((env, navigator, available, *(_harm_at(part) for part in drivers.values()), *less, decides))
     heads = ("id", "navigator", "available [%]", *(f"`{name}`" for name in found["config"]["drivers"]))
     return (*heads, *(f"{key}, less `{against}`" for key in JUDGED), "decides"), rows
@@ -267,7 +270,12 @@ def _is_less(change: Difference, p: float) -> bool:
 
 def _harm_at(part: Mapping[str, Any]) -> str:
     """Harm, cost and throughput."""
-    return f"{np.mean(part['harm']):.3g}, {np.mean(part['cost']):.3g} at {np.mean(part['throughput_mps']):.3g}"
+    return f"{np.mean(part['harm']):.3g}, {np.mean(part['cost']):.3g} at {_throughput(part):.3g}"
+
+
+def _throughput(part: Mapping[str, Any]) -> float:
+    """Mean over episodes [m/s]."""
+    return float(np.mean(part["throughput_mps"]))
 
 
 def _change(change: Difference) -> str:
