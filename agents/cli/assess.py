@@ -216,27 +216,33 @@ def limits(
     show_study(found, alert_tables(found), out, page, as_json)
 
 
-@app.command("guidance")
-def guidance(
+@app.command("decisions")
+def decisions(
     out: Annotated[Path, typer.Option(help="Folder for results.json; a run is resumed there.")],
-    seeds: Annotated[int | None, typer.Option(min=2, help="Episodes of each case; the study has 24.")] = None,
+    env: Annotated[
+        list[str] | None, typer.Option(help="An id of ours without lanebound/, with an engine; may be repeated.")
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(min=2, help="Episodes of each case; the study has 100.")] = None,
     page: Annotated[Path | None, typer.Option(metavar="FILE.md", help="Page whose tables are written anew.")] = None,
     jobs: Jobs = 1,
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """What a position of metres is worth where a camera keeps the lane: services and drivers in Guidance.
+    """Where a level decides: navigators and drivers in each id, beside the same driver with a clock in its place.
 
-    Example: lanebound assess guidance --out out/guidance --seeds 8
+    Example: lanebound assess decisions --out out/decisions --env Guidance --seeds 8
     """
-    from lanebound.agents.report.pages import require_page
-    from lanebound.agents.studies.guidance import SECTIONS, GuidanceConfig, assess_guidance, tables
+    from lanebound.agents.report.pages import fill, require_page
+    from lanebound.agents.studies.decisions import SECTIONS, DecisionsConfig, assess_decisions, tables
 
     if page is not None:
-        require_page(page, SECTIONS)
-    config = GuidanceConfig.load(changes(assignments, seeds=seeds))
-    found = carry_out(out, "case", lambda report: assess_guidance(config, out, jobs, report))
-    show_study(found, tables(found), out, page, as_json)
+        require_page(page, SECTIONS[:1])
+    config = DecisionsConfig.load(changes(assignments, envs=env, seeds=seeds))
+    found = carry_out(out, "place", lambda report: assess_decisions(config, out, jobs, report))
+    shown = tables(found)
+    if page is not None:  # the other tables have hundreds of rows: they are printed, and in results.json
+        fill(page, {SECTIONS[0]: shown[SECTIONS[0]]})
+    show_study(found, shown, out, None, as_json)
 
 
 @app.command("monitors")

@@ -31,6 +31,7 @@ AGENTS = {
     "bank": "lanebound.agents.drivers.degenerate:make_bank",
     "cautious": "lanebound.agents.drivers.margins:make_cautious",
     "cbf": "lanebound.agents.drivers.barrier:make_cbf",
+    "clock": "lanebound.agents.drivers.clock:make_clock",
     "constant": "lanebound.agents.drivers.degenerate:make_constant",
     "cruise": "lanebound.agents.drivers.cruise:make_cruise",
     "idm": "lanebound.agents.drivers.cruise:make_idm",
@@ -72,6 +73,9 @@ ABOUT = {
     "cautious": About("nominal with constant margins, slower", "position", "nothing", ANY),
     "cbf": About(
         "barrier filter over an agent (`over`; nominal)", f"{LEVELS}, alert", "slows if levels fill the lane", FULL
+    ),
+    "clock": About(
+        "integrity_aware with levels by the time since RTK", "position, modes, sky ahead", "by time: slows, stops", ANY
     ),
     "constant": About("bad on purpose: a share of the limit, blind to all else", "position", "nothing", SPEED),
     "cruise": About("keeps lane, speed and distance", "position", "nothing", ANY),

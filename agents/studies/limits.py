@@ -65,13 +65,18 @@ class Decision(NamedTuple):
     envs: VectorDrivingEnv
 
 
-def first_episodes(env: str, config: Mapping[str, Any], driver: str, count: int) -> Iterator[Decision]:
-    """All steps until ``count`` episodes have ended, under the training seeds from the first on.
+def first_episodes(
+    env: str, config: Mapping[str, Any], driver: str, count: int, first: int = SPLITS["train"][0],
+    figures: Mapping[str, Any] | None = None,
+) -> Iterator[Decision]:  # fmt: skip
+    """All steps until ``count`` episodes have ended, under consecutive seeds.
 
     Parameters
     ----------
     env : id, ours without lanebound/, in the engine
     config : changes of its preset
+    first : seed of the first episode; by default the first training seed
+    figures : of the driver, see :func:`~lanebound.agents.drivers.make_agent`
 
     Raises
     ------
@@ -83,8 +88,8 @@ def first_episodes(env: str, config: Mapping[str, Any], driver: str, count: int)
         raise InputError(f"envs must be ids with an engine, got '{env}': choose among {', '.join(engines())}")
     kind = engine_class(preset)
     with closing(kind(count, config, "SameStep")) as envs, closing(kind.KIND(config)) as single:
-        agent: Any = make_agent(driver, single)
-        observations, _ = envs.reset(seed=SPLITS["train"][0])
+        agent: Any = make_agent(driver, single, figures)
+        observations, _ = envs.reset(seed=first)
         going, state, start = np.ones(count, dtype=np.bool_), None, np.ones(count, dtype=np.bool_)
         while going.any():
             actions, state = agent.predict(observations, state=state, episode_start=start, deterministic=True)

@@ -1,0 +1,324 @@
+"""Where a level decides: navigators and drivers in many ids, on the same roads, traffic, sky and errors.
+
+Each case is an id, a navigator and a driver, on held-out seeds in the vector engine. ``integrity_aware`` reads levels
+and alerts. ``clock`` is the same driver with the median level at the time since RTK, ``fixed`` that with the median
+level at any time; both medians are those of ``nominal`` on training seeds of the id and navigator. ``nominal`` ignores
+all of them. A level decides where ``integrity_aware`` does less harm, or costs less, than each of the three.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import field_validator
+
+from lanebound.agents.benchmark.episode import allotted_s
+from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
+from lanebound.agents.benchmark.statistics import VERDICT_SEEDS, Difference, difference, estimate, holm
+from lanebound.agents.benchmark.suite import SPLITS, Split
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
+from lanebound.agents.drivers.base import Reader
+from lanebound.agents.drivers.clock import AGES_S, AXES
+from lanebound.agents.episodes.opening import full_id, open_env
+from lanebound.agents.report.pages import Table
+from lanebound.agents.studies.limits import first_episodes
+from lanebound.agents.studies.study import claim, parts_of, stored
+from lanebound.envs import make_config
+from lanebound.envs.costs import CAUSES
+from lanebound.integrity.core.angles_kernel import ROUNDING_M
+from lanebound.integrity.core.config import Config, Field, deep_merge
+from lanebound.integrity.core.errors import InputError
+
+__all__ = ["DRIVERS", "SECTIONS", "DecisionsConfig", "assess_decisions", "tables"]
+
+Array = NDArray[np.float64]
+PACKAGES = (
+    "lanebound.integrity",
+    "lanebound.envs",
+    "lanebound.agents.drivers",
+    "lanebound.agents:studies/decisions.py",
+    "lanebound.agents:studies/limits.py",
+)
+SECTIONS = ("decides", "position", "outcome", "causes")
+READS = "integrity_aware"
+DRIVERS: dict[str, str] = {"nominal": "nominal", "fixed": "clock", "clock": "clock", READS: READS}
+"""Agents of the study, by their names in it."""
+JUDGED = ("harm", "cost")
+EQUAL = 0.95  # of the throughput of the clock: from here on it counts as equal, chosen
+SUMS = ("cost", "available", "alert", "wrong_road", "hmi_share", "speed_mps")
+ENDS = (("success", "is_success"), ("lost", "lost"), ("crashed", "crashed"), ("off_road", "off_road"))
+
+
+class DecisionsConfig(Config):
+    """All inputs of the study."""
+
+    envs: tuple[str, ...] = Field(
+        ("LaneKeeping", "CarFollowing", "Highway", "Merge", "Roundabout", "Intersection", "Racetrack", "UrbanCanyon",
+         "WorkZone", "Guidance"),
+        min_length=1, description="ids with an engine, ours without lanebound/",
+    )  # fmt: skip
+    navigators: Mapping[str, Any] = Field(
+        {
+            "RTK": "navigators/consumer",
+            "RTK, DFMC": "services/rtk_dfmc",
+            "DGPS": "services/dgps",
+            "SBAS L1": "services/sbas_l1",
+            "DFMC": "services/sbas_dfmc",
+            "PPP": "services/ppp",
+            "IBPL": {"kind": "monitored_codes", "monitor": {"kind": "ibpl"}},
+            "IMM": "navigators/imm_s4",
+            "context": {"kind": "monitored_codes", "monitor": {"kind": "context"}},
+        },
+        min_length=1,
+        description="values of navigator, by the name in the tables",
+    )
+    drivers: tuple[str, ...] = Field(tuple(DRIVERS), min_length=1, description="agents of the study")
+    split: Split = Field("test", description="seeds that are driven")
+    seeds: int = Field(100, ge=2, le=1000, description="episodes of each case, from the first seed of the split on")
+    fitted: int = Field(24, ge=2, le=1000, description="training episodes of each id and navigator, for the medians")
+    overrides: Mapping[str, Any] = Field({}, description="of the environments' configuration, merged deeply")
+
+    @field_validator("drivers")
+    @classmethod
+    def _drivers_exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name not in DRIVERS:
+                raise InputError(f"drivers must be of {', '.join(DRIVERS)}, got '{name}': correct it")
+        return names
+
+    @property
+    def places(self) -> dict[str, tuple[str, str]]:
+        """Id and navigator of each part, by its name."""
+        pairs = product(self.envs, self.navigators)
+        return {f"{env}-{navigator}".replace(" ", "_").replace(",", ""): (env, navigator) for env, navigator in pairs}
+
+    def changes_of(self, navigator: str) -> dict[str, Any]:
+        """The configuration of an id with a navigator."""
+        return deep_merge(self.overrides, {"navigator": self.navigators[navigator], "observation": {"form": "flat"}})
+
+
+def assess_decisions(
+    config: DecisionsConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore
+) -> dict[str, Any]:
+    """Drive the ids and navigators that are missing; returns the data of ``results.json``.
+
+    Raises
+    ------
+    InputError
+        ``out`` cannot be claimed, or a driver does not exist; ConfigError for a value that an environment refuses.
+    """
+    for env, navigator in config.places.values():  # refusals come before the work
+        make_config(full_id(env), config.changes_of(navigator))
+    claim(out, "decisions", config, PACKAGES, "navigators", list(config.places))
+    places = parts_of(config, _of_place, list(config.places), out, jobs, on_progress)
+    return stored({"config": config.to_dict(), "places": places}, out)
+
+
+def _of_place(config: DecisionsConfig, name: str, advance: Advance) -> dict[str, Any]:
+    """Figures of each driver's episodes in an id with a navigator."""
+    env, navigator = config.places[name]
+    changes = config.changes_of(navigator)
+    with closing(open_env(full_id(env), changes)) as single:
+        longest, dt_s, weights = allotted_s(single), single.dt_s, single.config.cost.weights
+    level_m = _medians(env, changes, config.fitted)
+    fixed = {"age_s": [0.0], **{f"pl_{axis}_m": [level_m[axis][-1]] for axis in AXES}}
+    by_clock = {"age_s": list(AGES_S), **{f"pl_{axis}_m": level_m[axis][:-1] for axis in AXES}}
+    stands = all(by_clock[f"pl_{axis}_m"] == len(AGES_S) * level_m[axis][-1:] for axis in AXES)  # without RTK it does
+    found: dict[str, Any] = {}
+    for done, driver in enumerate(config.drivers):
+        if driver == "clock" and stands and "fixed" in found:
+            found[driver] = found["fixed"]
+            continue
+        figures = {"fixed": fixed, "clock": by_clock}.get(driver)
+        part = _driven(config, env, changes, driver, figures)
+        steps = np.array(part.pop("steps"))
+        part["time_s"] = (dt_s * steps).tolist()
+        taken = np.where(part["success"], dt_s * steps, np.maximum(longest, dt_s * steps))
+        part["throughput_mps"] = (np.array(part["speed_mps"]) * dt_s * steps / taken).tolist()
+        causes = np.array(part.pop("causes"))
+        part["harm"] = (
+            HARM_OF_AN_END * (np.array(part["crashed"]) + part["off_road"] > 0) + causes[:, CAUSES.index("cost_lane")]
+        ).tolist()
+        part["causes"] = {c: weights[c] * float(causes[:, i].mean()) for i, c in enumerate(CAUSES)}
+        found[driver] = part
+        advance((done + 1) / len(config.drivers))
+    return {"env": env, "navigator": navigator, "levels": by_clock, "fixed": fixed, "drivers": found}
+
+
+def _driven(
+    config: DecisionsConfig, env: str, changes: Mapping[str, Any], driver: str, figures: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Sums of each episode of a driver, and its levels and errors at all decisions."""
+    count, first = config.seeds, SPLITS[config.split][0]
+    causes, steps = np.zeros((count, len(CAUSES))), np.zeros(count)
+    sums, ends = {name: np.zeros(count) for name in SUMS}, {name: np.zeros(count) for name, _ in ENDS}
+    levels, errors = [], []
+    for infos, going, over, _ in first_episodes(env, changes, DRIVERS[driver], count, first, figures):
+        last, steps = going & over, steps + going
+        causes += np.where(going[:, None], infos["costs"], 0.0)
+        for name in SUMS:
+            sums[name] += np.where(going, infos[name], 0.0)
+        for name, of in ENDS:
+            ends[name] += last & infos[of]
+        levels.append(infos["pl_ct_m"][going])
+        errors.append(np.abs(infos["err_ct_m"][going]))
+    level, error = np.concatenate(levels), np.concatenate(errors)
+    shares = {name: (values if name == "cost" else values / steps).tolist() for name, values in sums.items()}
+    return {
+        "steps": steps.tolist(),
+        **{name: values.tolist() for name, values in ends.items()},
+        **shares,
+        "causes": causes.tolist(),
+        "level_m": _finite(np.quantile(level, [0.5, 0.95], method="inverted_cdf")),
+        "error_m": np.quantile(error, [0.5, 0.95, 1.0]).tolist(),
+        "beyond": int(np.count_nonzero(error > level + ROUNDING_M)),
+        "decisions": int(level.size),
+    }
+
+
+def _medians(env: str, changes: Mapping[str, Any], count: int) -> dict[str, list[float]]:
+    """Median levels of ``nominal`` on training seeds at each of ``AGES_S``, and at any time, by axis.
+
+    A level counts as its observation shows it: missing ones, and those above the scale, as the scale. An age that did
+    not occur has the level between those of its neighbours.
+    """
+    ages: list[Array] = []
+    levels: dict[str, list[Array]] = {axis: [] for axis in AXES}
+    for infos, going, over, envs in first_episodes(env, changes, "nominal", count):
+        on, reader = going & ~over, Reader(envs.config.observation)  # after an end the belief is of the next start
+        belief = _belief(envs)
+        ages.append(np.minimum(belief["since_rtk_s"], reader.scale("integrity.since_rtk"))[on])
+        for axis in AXES:
+            levels[axis].append(np.minimum(infos[f"pl_{axis}_m"], reader.scale(f"integrity.pl_{axis}"))[on])
+    age, grid = np.concatenate(ages), np.array(AGES_S)
+    nearest = np.digitize(age, 0.5 * (grid[1:] + grid[:-1]))
+    there = np.unique(nearest)
+    found = {}
+    for axis in AXES:
+        level = np.concatenate(levels[axis])
+        medians = [float(np.median(level[nearest == i])) for i in there]
+        found[axis] = [*np.interp(grid, grid[there], medians).tolist(), float(np.median(level))]
+    return found
+
+
+def _belief(envs: Any) -> Any:
+    return envs.engine.episodes.ego["belief"]
+
+
+def _finite(values: Array) -> list[float | None]:
+    """Values, None for one that is missing."""
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def tables(found: Mapping[str, Any]) -> dict[str, Table]:
+    """Where a level decides; positions, ends and causes of costs."""
+    made = (_decided(found), _positions(found), _outcomes(found), _causes(found))
+    return dict(zip(SECTIONS, made, strict=True))
+
+
+def _each(found: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    for place in found["places"].values():
+        yield place["env"], place["navigator"], place["drivers"]
+
+
+def _decided(found: Mapping[str, Any]) -> Table:
+    """Harm and cost of each driver at its throughput, and what levels save against the clock, seed by seed.
+
+    The last column says where a level decides: the figures in which ``integrity_aware`` is clearly below each other
+    driver, after Holm's method over all rows, figures and drivers; and whether it is slower than the clock.
+    """
+    others = [name for name in found["config"]["drivers"] if name != READS]
+    changes = {
+        (place, other, key): difference(np.array(drivers[READS][key]), np.array(drivers[other][key]), "lower")
+        for place, (_, _, drivers) in enumerate(_each(found))
+        if READS in drivers
+        for other in others
+        for key in JUDGED
+    }
+    adjusted = dict(zip(changes, holm([1.0 if c.p is None else c.p for c in changes.values()]), strict=True))
+    against = "clock" if "clock" in others else others[-1] if others else READS
+    rows = []
+    for place, (env, navigator, drivers) in enumerate(_each(found)):
+        available = f"{100.0 * np.mean(drivers[found['config']['drivers'][0]]['available']):.3g}"
+        less, decides = ["-", "-"], "-"
+        if READS in drivers and others:
+            less = [_change(changes[place, against, key]) for key in JUDGED]
+            clear = [
+                key
+                for key in JUDGED
+                if all(_is_less(changes[place, other, key], adjusted[place, other, key]) for other in others)
+            ]
+            decides = ", ".join(clear) or "no"
+            if clear and _throughput(drivers[READS]) < EQUAL * _throughput(drivers[against]):
+                decides += ", slower"
+        rows.append((env, navigator, available, *(_harm_at(part) for part in drivers.values()), *less, decides))
+    heads = ("id", "navigator", "available [%]", *(f"`{name}`" for name in found["config"]["drivers"]))
+    return (*heads, *(f"{key}, less `{against}`" for key in JUDGED), "decides"), rows
+
+
+def _is_less(change: Difference, p: float) -> bool:
+    """Whether a difference is clearly below 0, with an adjusted p-value."""
+    below = change.difference is not None and change.difference < 0.0
+    return below and p <= 0.05 and change.n >= VERDICT_SEEDS
+
+
+def _harm_at(part: Mapping[str, Any]) -> str:
+    """Harm, cost and throughput."""
+    return f"{np.mean(part['harm']):.3g}, {np.mean(part['cost']):.3g} at {_throughput(part):.3g}"
+
+
+def _throughput(part: Mapping[str, Any]) -> float:
+    """Mean over episodes [m/s]."""
+    return float(np.mean(part["throughput_mps"]))
+
+
+def _change(change: Difference) -> str:
+    """A mean difference with its interval."""
+    interval = "" if change.low is None else f" ({change.low:.2g} to {change.high:.2g})"
+    return f"{change.difference:.2g}{interval}"
+
+
+def _positions(found: Mapping[str, Any]) -> Table:
+    """Of the first driver."""
+    rows = []
+    for env, navigator, drivers in _each(found):
+        part = drivers[found["config"]["drivers"][0]]
+        level = " / ".join("none" if value is None else f"{value:.3g}" for value in part["level_m"])
+        error = " / ".join(f"{value:.2g}" for value in part["error_m"])
+        shares = [f"{100.0 * np.mean(part[key]):.3g}" for key in ("available", "wrong_road", "hmi_share")]
+        rows.append((env, navigator, level, error, f"{part['beyond']} of {part['decisions']}", *shares))
+    heads = ("id", "navigator", "PL across, 50 / 95 % [m]", "error across, 50 / 95 / 100 % [m]", "error beyond PL",
+             "available [%]", "wrong road [%]", "HMI [%]")  # fmt: skip
+    return heads, rows
+
+
+def _outcomes(found: Mapping[str, Any]) -> Table:
+    rows = []
+    for env, navigator, drivers in _each(found):
+        for driver, part in drivers.items():
+            counts = [f"{sum(part[name]):.0f}" for name, _ in ENDS]
+            costs = estimate(np.array(part["cost"]), bounds=(0.0, np.inf))
+            interval = "" if costs.low is None else f" ({costs.low:.2g} to {costs.high:.2g})"
+            alert = f"{100.0 * np.mean(part['alert']):.3g}"
+            time, speed = np.mean(part["time_s"]), np.mean(part["throughput_mps"])
+            rows.append((env, navigator, f"`{driver}`", *counts, f"{time:.0f}", f"{speed:.3g}",
+                         f"{np.mean(part['harm']):.3g}", f"{costs.mean:.3g}{interval}", alert))  # fmt: skip
+    heads = ("id", "navigator", "driver", *(name.replace("_", " ") for name, _ in ENDS), "time [s]",
+             "throughput [m/s]", "harm", "cost, 95 % interval", "alert [%]")  # fmt: skip
+    return heads, rows
+
+
+def _causes(found: Mapping[str, Any]) -> Table:
+    """Weighted costs by cause, of the causes that occur."""
+    parts = [
+        (env, nav, driver, part["causes"]) for env, nav, drivers in _each(found) for driver, part in drivers.items()
+    ]
+    shown = [cause for cause in CAUSES if any(causes[cause] for *_, causes in parts)]
+    rows = [(env, nav, f"`{driver}`", *(f"{causes[c]:.2g}" for c in shown)) for env, nav, driver, causes in parts]
+    return ("id", "navigator", "driver", *(c.removeprefix("cost_") for c in shown)), rows
