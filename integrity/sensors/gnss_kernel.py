@@ -537,9 +537,9 @@ def observe_vehicle(rules, site, slows, own, draws, sky, reception, truth, of_fa
         motion = e * vx + n * vy + u * vz
         rate_error = rules.rate_sigma * math.sqrt(power) * signal.rate
         out.range_rate = receiver.drift - motion + effect.range_rate_bias_mps + rate_error + late_rate
-        if rules.detects == BY_JUMP and comes_late(rules, power, truth.position, signal, out):
-            out.reflected = True
-            if rules.excludes:
+        if rules.detects == BY_JUMP:
+            signal.flagged = out.reflected = comes_late(rules, power, truth.position, signal, out)
+            if out.reflected and rules.excludes:
                 _leave_out(out)
 
 
