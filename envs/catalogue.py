@@ -10,7 +10,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.world import make_world, world_defaults
 from lanebound.envs.worlds import world_kind
-from lanebound.envs.worlds.base import META
+from lanebound.envs.worlds.base import META, World
 from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["world_of"]
@@ -26,7 +26,7 @@ def world_of(config: EnvConfig) -> AbstractEnv:
     Raises
     ------
     ConfigError
-        See :func:`lanebound.envs.world.make_world`.
+        See :func:`lanebound.envs.world.make_world`; or the configuration asks for what the world does not have.
     """
     continuous = config.action is ActionKind.CONTINUOUS
     declared = world_kind(config.base)
@@ -39,9 +39,26 @@ def world_of(config: EnvConfig) -> AbstractEnv:
     world = dict(config.world)
     if "offroad_terminal" in defaults:
         world.setdefault("offroad_terminal", config.off_road_ends)
-    return make_world(
+    made = make_world(
         name, world, {**own, **config.action_options}, config.simulation_hz, config.policy_hz, config.duration_s
     )
+    _require_offered(config, made)
+    return made
+
+
+def _require_offered(config: EnvConfig, world: AbstractEnv) -> None:
+    """Refuse entries and weights that would stay at their defaults in this world: they would seem to be there."""
+    network = world.road.network
+    closes = isinstance(world, World) and type(world).draw_closure is not World.draw_closure
+    has_goal = getattr(network, "goal", None) is not None
+    forks = any(len(ends) > 1 for ends in network.graph.values())
+    for name, given, there, must, worlds in (
+        ("observation.closure", config.observation.closure, closes, "false where no lane closes", "WorkZoneWorld"),
+        ("cost.route", config.cost.route, has_goal, "0 where the network has no goal", "GuidanceWorld"),
+        ("cost.gore", config.cost.gore, forks, "0 where no road forks", "GuidanceWorld or exit-v0"),
+    ):
+        if given and not there:
+            raise ConfigError(f"{name} must be {must}, as in {config.base}, got {given}: remove it, or choose {worlds}")
 
 
 def _require_kind(config: EnvConfig) -> None:

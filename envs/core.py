@@ -108,7 +108,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
     | `cost_context` | 0 | dt while the context monitor warns and the car changes lane or exceeds half the limit |
     | `cost_blocking` | 0 | `max(0, 1 - v cos(psi) / (0.7 v_flow)) dt`, at most dt: slower than others drive there |
-    | `cost_speeding` | 0 | `max(0, (v cos(psi) - 3 km/h) / v_limit - 1) dt`, at most dt, of the lane of the car |
+    | `cost_speeding` | 0 | `max(0, (v cos(psi) - 3 km/h) / v_limit - 1) dt`, at most dt; v_limit: also of a closure |
     | `cost_route` | 0 | 1 in the step in which the car comes onto a road that does not lead to the goal of the world |
     | `cost_gore` | 0 | dt while the body is over a line of its lane within 50 m (`cost.gore_m`) of a fork |
 

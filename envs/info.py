@@ -34,7 +34,7 @@ INFO: dict[str, str] = {
     "cost_hmi": "time with hazardously misleading information [s]",
     "cost_context": "time driven too fast or changing lane under a warning of the context monitor [s]",
     "cost_blocking": "time slower than the flow where no stop is right, times what lacks; 0 if it weighs 0 [s]",
-    "cost_speeding": "time above the limit of the lane that the true car is on, times the share above [s]",
+    "cost_speeding": "time above the limit of the true lane, or of a closure beside it, times the share above [s]",
     "cost_route": "1 in the step in which the true car comes onto a road that does not lead to the goal [-]",
     "cost_gore": "time in which the true body is over a line near a fork; 0 if it weighs 0 [s]",
     "pl_at_m": "protection level along the track; inf without one [m]",

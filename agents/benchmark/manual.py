@@ -39,6 +39,7 @@ SUITES = (
     "monitors",
     "context",
     "filters",
+    "detectors",
     "work_zone",
     "remote_braking",
     "occluded_crossing",

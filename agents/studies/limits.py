@@ -66,7 +66,7 @@ class Decision(NamedTuple):
 
 
 def first_episodes(
-    env: str, config: Mapping[str, Any], driver: str, count: int, first: int = SPLITS["train"][0],
+    env: str, config: Mapping[str, Any], driver: str, count: int, first_seed: int = SPLITS["train"][0],
     figures: Mapping[str, Any] | None = None,
 ) -> Iterator[Decision]:  # fmt: skip
     """All steps until ``count`` episodes have ended, under consecutive seeds.
@@ -75,7 +75,7 @@ def first_episodes(
     ----------
     env : id, ours without lanebound/, in the engine
     config : changes of its preset
-    first : seed of the first episode; by default the first training seed
+    first_seed : by default the first training seed
     figures : of the driver, see :func:`~lanebound.agents.drivers.make_agent`
 
     Raises
@@ -89,7 +89,7 @@ def first_episodes(
     kind = engine_class(preset)
     with closing(kind(count, config, "SameStep")) as envs, closing(kind.KIND(config)) as single:
         agent: Any = make_agent(driver, single, figures)
-        observations, _ = envs.reset(seed=first)
+        observations, _ = envs.reset(seed=first_seed)
         going, state, start = np.ones(count, dtype=np.bool_), None, np.ones(count, dtype=np.bool_)
         while going.any():
             actions, state = agent.predict(observations, state=state, episode_start=start, deterministic=True)
@@ -301,7 +301,10 @@ class CostLimitsConfig(LimitsConfig):
     ends: float = Field(
         0.01, ge=0, lt=1, description="share of episodes that the limit in the mean lets end in a crash or off the road"
     )
-    seeds: int = Field(24, ge=2, le=1000, description="episodes of each id and sky, of training seeds")
+    seeds: int = Field(24, ge=2, le=1000, description="episodes of each id and sky, under consecutive seeds")
+    first_seed: int = Field(
+        SPLITS["train"][0], ge=0, description="first of them: a training seed for limits, a held-out one to try a limit"
+    )
     overrides: Mapping[str, Any] = Field({}, description="of the environments' configuration, merged deeply")
 
     @property
@@ -353,7 +356,7 @@ def _of_place(config: CostLimitsConfig, name: str, advance: Advance) -> dict[str
     with closing(open_env(full_id(env), changes)) as single:
         made, longest, count = single.config, allotted_s(single) / single.dt_s, config.seeds
     whole, by_cause = np.zeros(count), np.zeros((count, len(CAUSES)))
-    for step, (infos, going, _, _) in enumerate(first_episodes(env, changes, config.driver, count)):
+    for step, (infos, going, _, _) in enumerate(first_episodes(env, changes, config.driver, count, config.first_seed)):
         whole += np.where(going, infos["cost"], 0.0)
         by_cause += np.where(going[:, None], infos["costs"], 0.0)
         advance(min(step / longest, 1.0))
@@ -380,13 +383,19 @@ def cost_tables(found: Mapping[str, Any]) -> dict[str, Table]:
 def _limits_of(found: Mapping[str, Any]) -> Table:
     rows = [
         (
-            part["env"], part["sky"], f"{part['cost_limit']:g}", _over(part), f"{part['mean']:.3g}",
+            part["env"], part["sky"], f"{part['cost_limit']:g}", _over(part), _mean(part),
             f"{part['ended']}", _limit(part["limit_in_mean"]), *map(_limit, part["limits"].values()),
         )
         for part in found["places"].values()
     ]  # fmt: skip
     today = ("id", "sky", "`cost_limit` today", "episodes over it", "mean", "crashed or off the road")
     return (*today, "limit in the mean", "by quantile: whole", *GROUPS), rows
+
+
+def _mean(part: Mapping[str, Any]) -> str:
+    """The mean cost and its standard error."""
+    costs = np.array(part["sums"][WHOLE])
+    return f"{part['mean']:.3g} ± {costs.std(ddof=1) / np.sqrt(costs.size):.2g}"
 
 
 def _over(part: Mapping[str, Any]) -> str:

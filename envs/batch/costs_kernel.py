@@ -26,7 +26,8 @@ which the car stops in comfort before its lane ends. The cost is 0 while a vehic
 crosses (:func:`.conflict_kernel.must_give_way`), and where its weight is 0. Cars that are much slower than the flow
 crash more often (Solomon, Accidents on main rural highways, 1964).
 
-``cost_speeding``  ``max(0, (v cos(psi) - 3 km/h) / v_limit - 1) dt``, at most dt, of the TRUE car on its true lane.
+``cost_speeding``  ``max(0, (v cos(psi) - 3 km/h) / v_limit - 1) dt``, at most dt, of the TRUE car on its true lane;
+v_limit is the announced limit beside a closure, and what the car can reach where there is none.
 ``cost_route``  1 in the step in which the TRUE car comes onto a road that does not lead to the goal of the world.
 ``cost_gore``  dt while the TRUE body is over a line of its lane less than ``gore_m`` before or behind a fork.
 
@@ -249,10 +250,9 @@ def _blocking(cars, lanes, along, least):  # type: ignore[no-untyped-def]
 
 
 @jit(inline=True)
-def _speeding(car, lanes, along):  # type: ignore[no-untyped-def]
-    """Share by which the true car exceeds the limit of the lane that it is on, at most 1."""
-    limit = lanes.table[car.lane].speed_limit_mps
-    return min(max((along - TOLERANCE_MPS) / limit - 1.0, 0.0), 1.0) if limit > 0.0 else 0.0
+def _speeding(along, limit):  # type: ignore[no-untyped-def]
+    """Share by which the true car exceeds the limit where it is, at most 1."""
+    return min(max((along - TOLERANCE_MPS) / limit - 1.0, 0.0), 1.0)
 
 
 @jit(borrows=True)
@@ -279,11 +279,11 @@ def _changes_late(car, lanes, gore_m):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def price(b, body, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  # type: ignore[no-untyped-def]
+def price(b, body, sc, cars, seen, count, lanes, rules, dt, along, limit, flow, out):  # type: ignore[no-untyped-def]
     """Fill the costs of a step by cause, and their weighted sum; ``out`` holds the verdict already.
 
-    body: the belief, or the pose of a lane sensor; along: speed of the true car along its lane; flow: that of the flow
-    there [m/s].
+    body: the belief, or the pose of a lane sensor; along: speed of the true car along its lane; limit, flow: the limit
+    there, and the speed of the flow [m/s].
     """
     keep, speed, c = rules.keep_lane != 0, abs(cars[0].speed), rules.costs
     # A body beyond its lane may be struck while it stands as well; that it stands so is not excluded by a level.
@@ -293,8 +293,8 @@ def price(b, body, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  
     if keep:
         doubt = min(max(doubt_m(body, sc, body.pl_ct_m, 0.5 * cars[0].width, lanes, False), 0.0), EXCESS_MOST_M)
     late = b.alert != 0 and b.alert_age_s > c.time_to_alert_s
-    limit = lanes.table[b.lane].speed_limit_mps
-    share = c.alert_speed_share * limit if limit > 0.0 else math.inf
+    believed = lanes.table[b.lane].speed_limit_mps
+    share = c.alert_speed_share * believed if believed > 0.0 else math.inf
     permitted = b.permitted_mps if rules.permits != 0 else share
     least = c.blocking_share * min(flow, rules.fastest_mps)
     # The speed that an alert permits is fast enough, a slower one is not; of possible roads their limit is, and the
@@ -317,7 +317,7 @@ def price(b, body, sc, cars, seen, count, lanes, rules, dt, along, flow, out):  
     total += c.headway * out.cost_headway + c.conflict * out.cost_conflict
     total += c.alert * out.cost_alert
     total += c.hmi * out.cost_hmi + c.context * out.cost_context
-    out.cost_speeding = _speeding(cars[0], lanes, along) * dt
+    out.cost_speeding = _speeding(along, limit) * dt
     out.cost_route = out.lost_now
     out.cost_gore = dt if c.gore > 0.0 and _changes_late(cars[0], lanes, c.gore_m) else 0.0
     total += c.blocking * out.cost_blocking + c.speeding * out.cost_speeding

@@ -125,7 +125,7 @@ def score(b, body, sc, cars, seen, count, lanes, facts, closure, rules, start, o
     out.yaw_rate_radps = remainder(cars[0].heading - sc.heading_rad) / policy
     sc.heading_rad = cars[0].heading
     _judge(b, sc, cars[0], facts, against, limit, lanes, rules, out)
-    price(b, body, sc, cars, seen, count, lanes, rules, dt, along, flow, out)
+    price(b, body, sc, cars, seen, count, lanes, rules, dt, along, limit, flow, out)
     rough = math.hypot((speed - sc.speed_mps) / policy, speed * out.yaw_rate_radps) / COMFORT_MPS2
     sc.speed_mps = speed
     progress, w = min(max(along / limit, -1.0), 1.0) * dt, rules.rewards

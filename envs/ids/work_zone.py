@@ -38,9 +38,9 @@ class WorkZone(Preset):
     Beside the closure v_limit is the limit there.
 
     ## Costs
-    Stopping has a [price](#priced-ids). `cost_limit` is 7, the 0.7 quantile of `integrity_aware` over
-    20 training seeds, rounded up. Mean costs (48 training seeds): `integrity_aware` 7, `nominal` 12, `stop_on_alert`
-    27 ([other skies](results/where-levels-decide.md)).
+    Stopping has a [price](#priced-ids). The weight of `cost_speeding` is 2: beside the closure its limit counts.
+    `cost_limit` is 10 by the [rule for means](results/cost-limits.md) over 40 training seeds: 7.0 and 1 % of a crash,
+    rounded up. Other drivers: [results](results/where-levels-decide.md).
 
     ## Starting State
     In the middle of a lane at 10 m/s, in three of four episodes the lane that closes; the other vehicles from 150 m
@@ -67,7 +67,8 @@ class WorkZone(Preset):
             "sky": "suburban",
             "observation": {"closure": True},
             "success_share": 0.5,
-            "cost_limit": 7.0,
+            "cost": {"speeding": 2.0},  # as in Guidance
+            "cost_limit": 10.0,
         },
         PRICES,
     )

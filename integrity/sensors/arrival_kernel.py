@@ -69,11 +69,13 @@ ARRIVAL = record(
     excess_m="extra path L [m]",
     rate_mps="dL/dt [m/s]",
     before_m="L at the last epoch; of a new arrival L [m]",
+    angle_rad="between its direction and that of the satellite [rad]",
     source="what it is: a value of arrival_kernel.TRACKED.arrival",
 )
 TWO_PI = 2.0 * math.pi
 MOST_ARRIVALS = 3  # the direct or diffracted ray, and two reflections
 STEPS, SETTLED, LEAST_SLOPE = 8, 1e-12, 0.05
+UNKNOWN_ANGLE_RAD = math.pi / 3.0  # of a reflection at an unknown face, as where e.n is 0.5; chosen
 LEAST_POWER = 0.01  # a loop of some 15 Hz follows no deeper fade: the rate of its phase would exceed the bandwidth
 STEP_RAD, MOST_STEPS = TWO_PI / 128.0, 2048  # of the phase of a sum that may encircle the origin
 
@@ -250,6 +252,7 @@ PATH_RULES = record(
 TRACKED = record(
     arrival="what the receiver tracks: NOTHING, DIRECT, or the index of the face of a reflection",
     fade="power over that of the unobstructed signal, as the C/N0 estimate smooths it [dB]",
+    split="power in the first band over that in the second, smoothed as fade is [dB]",
     power="the same in the window of the lock detector [-]",
     carrier=("f8", (BANDS,), "delay of the carrier that the loop follows, by band [m]"),
     sources=("f8", (MOST_ARRIVALS,), "all arrivals of the last epoch, as arrival"),
@@ -263,6 +266,7 @@ WORK = record(
     arrivals=(ARRIVAL, (MOST_ARRIVALS,), "direct or diffracted ray, and reflections"),
     code=("f8", (BANDS,), "what they and near objects add to codes, by band [m]"),
     carrier=("f8", (BANDS,), "the same of carriers [m]"),
+    angle="of the tracked arrival to the direction of the satellite [rad]",
 )
 """The signal at hand."""
 
@@ -289,7 +293,7 @@ def _add_direct(rules, reception, way, fluctuation, wavelength, arrival):  # typ
     path, line = reception.path, reception.line
     clear = path == LOS or path == FOLIAGE
     kind, loss = (path, 0.0) if clear else (BLOCKED, 0.0)
-    arrival.excess_m = arrival.rate_mps = arrival.phase_rad = 0.0
+    arrival.excess_m = arrival.rate_mps = arrival.phase_rad = arrival.angle_rad = 0.0
     if reception.edge >= 0:
         below, excess, rate = edge_detour(way.e, line.along, line.point, way.x, way.v)
         if abs(below) <= CELL_RAD or (below > 0.0) != clear:
@@ -309,7 +313,8 @@ def _add_direct(rules, reception, way, fluctuation, wavelength, arrival):  # typ
 def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-untyped-def]
     """Fill the arrival of a reflection at a face (FACE): ``L = 2 d (e.n)``, ``dL/dt = 2 (e.n)(n.v)``; False for none.
 
-    The normal is turned to the side of the antenna, which is ``d`` in front of the face.
+    It comes from the mirrored direction ``e - 2 (e.n) n``, at the angle ``2 asin(e.n)`` to e. The normal is turned to
+    the side of the antenna, which is ``d`` in front of the face.
     """
     d = face.normal[0] * way.x[0] + face.normal[1] * way.x[1] + face.normal[2] * way.x[2] - face.offset
     side = 1.0 if d >= 0.0 else -1.0
@@ -321,6 +326,7 @@ def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-u
     gamma = antenna_amplitude(cosine, rules.permittivity[m], rules.cross_polar, rules.roughness[m], wavelength)
     arrival.amplitude, arrival.phase_rad = abs(gamma), -math.atan2(gamma.imag, gamma.real)
     arrival.excess_m, arrival.rate_mps = excess_path(way.e, n, abs(d)), excess_rate(way.e, n, way.v)
+    arrival.angle_rad = 2.0 * math.asin(min(cosine, 1.0))
     return arrival.amplitude > 0.0
 
 
@@ -341,7 +347,7 @@ def find_arrivals(rules, reception, way, fluctuation, wavelength, arrivals):  # 
     if reception.path == REFLECTED and count == 0 and reception.face[0] < 0:
         last = arrivals[0]
         last.amplitude, last.excess_m = 10.0 ** (-0.05 * rules.reflection_loss), reception.excess
-        last.phase_rad = last.rate_mps = 0.0
+        last.phase_rad, last.rate_mps, last.angle_rad = 0.0, 0.0, UNKNOWN_ANGLE_RAD
         last.source, count = UNKNOWN_FACE, 1
     return count, kind
 
@@ -366,6 +372,11 @@ def _recall(memory, arrivals, count, edge):  # type: ignore[no-untyped-def]
         memory.sources[i], memory.excess[i] = (arrivals[i].source, arrivals[i].excess_m) if there else (NOTHING, 0.0)
 
 
+@jit(inline=True)
+def _decibel(amplitude):  # type: ignore[no-untyped-def]
+    return 20.0 * math.log10(max(amplitude, 1e-6)) if amplitude != 1.0 else 0.0
+
+
 @jit(forceinline=True)  # calls cost a third of the time of a signal
 def track(rules, wavelength, chip, bands, edge, chance, memory, count, work):  # type: ignore[no-untyped-def]
     """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate,
@@ -387,10 +398,12 @@ def track(rules, wavelength, chip, bands, edge, chance, memory, count, work):  #
         sum_, last = combine(arrivals, count, r, loops), memory.carrier[b] if old != NOTHING else math.nan
         memory.carrier[b] = follow_carrier(arrivals, count, r, loops, last)
         work.code[b], work.carrier[b] = sum_.code_m, memory.carrier[b]
+        new = old == NOTHING
         if b == 0:
             rate = sum_.rate_mps
-            fade = 20.0 * math.log10(max(sum_.amplitude, 1e-6)) if sum_.amplitude != 1.0 else 0.0
-            new = old == NOTHING
+            fade = _decibel(sum_.amplitude)
             memory.fade += (1.0 if new else rules.fade_gain) * (fade - memory.fade)
             memory.power += (1.0 if new else rules.lock_gain) * (sum_.amplitude * sum_.amplitude - memory.power)
+        else:
+            memory.split += (1.0 if new else rules.fade_gain) * (fade - _decibel(sum_.amplitude) - memory.split)
     return broken, r, rate, fade

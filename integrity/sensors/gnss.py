@@ -13,11 +13,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal, Self
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
+from scipy.special import ndtri
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -33,7 +34,7 @@ from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.near_objects_kernel import NEAR, NEAR_RULES
 from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL, OBSERVED_VEHICLE
 from lanebound.integrity.sky.scene import material_table, permittivities
-from lanebound.integrity.sky.systems import CHIP_M, N_SYSTEMS, WAVELENGTH_M
+from lanebound.integrity.sky.systems import CHIP_M, N_SYSTEMS, SPEED_OF_LIGHT_MPS, WAVELENGTH_M
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import RAY_HZ, Reception
 
@@ -82,13 +83,17 @@ class NearObjectsConfig(Config):
 class ReflectionDetectorConfig(Config):
     """A detector that flags signals whose direct path is blocked (S3 Table II), and what the receiver does with them.
 
-    Each signal has a verdict, right with the rates of the kind. It lasts ``lasting_s`` on average and at most until
-    the tracked path changes from direct to reflected or back: a mistake is no white noise.
+    Each signal has a verdict, right with the rates of the kind or by its test (``TESTS``). It lasts ``lasting_s`` on
+    average and at most until the tracked path changes from direct to reflected or back: a mistake is no white noise.
+    That of ``code_doppler`` is made anew in each epoch, from code and range rate alone.
     """
 
-    kind: Literal["none", "fisheye", "dual_polarisation", "given"] = Field(
-        "none",
-        description="none; a camera of the sky; an antenna for both polarisations; given: by the two rates below",
+    kind: Literal["none", "fisheye", "dual_polarisation", "antenna_array", "two_band_cn0", "code_doppler", "given"] = (
+        Field(
+            "none",
+            description="none; a camera of the sky; an antenna for both polarisations; an array, by angle of arrival; "
+            "difference of C/N0 between bands; codes that become later than Doppler says; given: by the rates below",
+        )
     )
     finds: float | None = Field(None, ge=0, le=1, description="share of reflected signals that are flagged, of given")
     mistakes: float | None = Field(None, ge=0, le=1, description="share of direct signals that are flagged, of given")
@@ -113,7 +118,7 @@ class ReflectionDetectorConfig(Config):
         """Shares of reflected and of direct signals that are flagged."""
         if self.kind == "given":
             return float(self.finds or 0.0), float(self.mistakes or 0.0)
-        return RATES[self.kind]
+        return RATES.get(self.kind, (0.0, 0.0))
 
 
 RATES = {
@@ -126,6 +131,27 @@ RATES = {
     "dual_polarisation": (0.61, 0.01),
 }
 """Shares of reflected and of direct signals that a kind of detector flags."""
+
+
+class _Test(NamedTuple):
+    """A code of :mod:`.gnss_kernel`, the error of what is tested (1 sigma), and the threshold over it."""
+
+    code: int
+    sigma: float
+    limit: float
+
+
+TESTS = {
+    # Direction of arrival against the ephemeris. A calibrated array of four patches; mutual coupling and attitude leave
+    # some degrees, chosen. Two-sided, false alarms 0.01 of the verdicts.
+    "antenna_array": _Test(gk.BY_ANGLE, math.radians(5.0), -float(ndtri(0.005))),
+    # Strode and Groves 2016: two paths interfere differently in each band. Receivers show C/N0 in steps of 1 dB, and
+    # the calibration of both bands leaves as much, chosen. Two-sided, false alarms 0.01 of the verdicts.
+    "two_band_cn0": _Test(gk.BY_SPLIT, 1.0, -float(ndtri(0.005))),
+    # One-sided, false alarms at most 1e-3 of the epochs of a direct signal; sigma is that of late_sigma_m.
+    "code_doppler": _Test(gk.BY_JUMP, math.nan, -float(ndtri(1e-3))),
+}
+"""Kinds that test what they measure, in place of rates."""
 
 
 def near_rules(config: NearObjectsConfig, dt_s: float) -> Records:
@@ -338,6 +364,27 @@ class GnssConfig(Config):
         return value
 
     @property
+    def late_sigma_m(self) -> float:
+        """Deviation of a code less its sum of range rates from the mean over LATE_FORGET_S, zenith [m].
+
+        White noise counts once, as the mean has little of it; multipath twice, as it may have turned since. Errors of
+        range rates add up while the mean lasts, ``sigma^2 tau T`` of a Gauss-Markov process, and the white frequency
+        noise of both clocks, ``c^2 h0 T / 4``.
+        """
+        summed = self.range_rate_sigma_mps**2 * self.range_rate_tau_s * gk.LATE_FORGET_S
+        summed += SPEED_OF_LIGHT_MPS**2 * (self.clock_h0 + self.station_clock_h0) * gk.LATE_FORGET_S / 4.0
+        return math.sqrt(self.code_sigma_m**2 + 2.0 * self.code_multipath_m**2 + summed)
+
+    @model_validator(mode="after")
+    def _detector_has_its_bands(self) -> Self:
+        kind = self.reflection_detector.kind
+        if kind == "two_band_cn0" and len(self.bands) < gk.BANDS:
+            raise ConfigError(
+                f"reflection_detector.kind must not be {kind!r} with one band, got bands {list(self.bands)}: add a band"
+            )
+        return self
+
+    @property
     def station_parts(self) -> dict[str, float]:
         """1-sigma of the station's part of code, phase and their multipath [m], by field of GNSS_RULES."""
         half = math.sqrt(0.5)
@@ -354,7 +401,7 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
     """The figures of the receiver as the kernel takes them, (1,) of GNSS_RULES."""
     c, slip_cn0, slip_rate = config, 40.0, config.slips_per_h / 3600.0
     clock_11, clock_21, clock_22 = clock_gains(c.clock_h0, c.clock_hm2, dt_s)
-    bands = len(c.bands)
+    bands, test = len(c.bands), TESTS.get(c.reflection_detector.kind)
     wavelength, dispersion, chip = np.zeros((3, N_SYSTEMS, gk.BANDS))
     chip[:, :bands] = CHIP_M[:, list(c.bands)]
     wavelength[:, :bands] = WAVELENGTH_M[:, list(c.bands)]
@@ -400,10 +447,12 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
         chip=chip,
         paths=_path_parameters(c, dt_s),
         near=near_rules(c.near_objects, dt_s),
-        detects=c.reflection_detector.kind != "none",
+        detects=test.code if test else gk.BY_RATES if c.reflection_detector.kind != "none" else gk.NEVER,
         excludes=c.reflection_detector.use == "exclude",
         finds=c.reflection_detector.rates[0],
         mistakes=c.reflection_detector.rates[1],
+        detector_sigma=0.0 if test is None else c.late_sigma_m if test.code == gk.BY_JUMP else test.sigma,
+        detector_limit=test.limit if test else 0.0,
         renews=-math.expm1(-dt_s / c.reflection_detector.lasting_s),
         **c.station_parts,
     )

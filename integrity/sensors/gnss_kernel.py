@@ -89,10 +89,12 @@ GNSS_RULES = record(
     chip=("f8", (N_SYSTEMS, BANDS), "length of a chip [m]"),
     paths=(PATH_RULES, "figures of propagation and loops"),
     near=(NEAR_RULES, "figures of near objects"),
-    detects=("?", "whether there is a detector of reflected signals"),
+    detects=("i8", "how reflected signals are detected: NEVER, BY_RATES, BY_ANGLE, BY_SPLIT or BY_JUMP"),
     excludes=("?", "whether the receiver leaves out what it flags"),
     finds="probability that a reflected signal is flagged [-]",
     mistakes="probability that a direct one is [-]",
+    detector_sigma="error of the angle [rad], of the C/N0 [dB] or, at the zenith, of the delay [m] tested, 1 sigma",
+    detector_limit="threshold of a test, over the deviation of its statistic [-]",
     renews="probability that a verdict is drawn anew in an epoch [-]",
 )
 """Figures of :class:`~lanebound.integrity.sensors.gnss.GnssConfig`."""
@@ -110,6 +112,9 @@ SIGNAL = record(
     near=(NEAR, "multipath of near objects"),
     reflected=("?", "the tracked arrival was a reflection when the detector last judged"),
     flagged=("?", "its verdict"),
+    code_m="code of the first band at the last epoch [m]",
+    late_m="how late the code is by its jumps [m]",
+    e=("f8", (3,), "unit vector to the satellite at the last epoch"),
 )
 """What lasts of a satellite's signal from epoch to epoch."""
 
@@ -162,6 +167,8 @@ STATION = record(
 STATION_NOISE = record(code=("f8", (BANDS,), "[-]"), phase=("f8", (BANDS,), "[-]"))
 """Standard normal draws of a satellite in a message."""
 
+NEVER, BY_RATES, BY_ANGLE, BY_SPLIT, BY_JUMP = 0, 1, 2, 3, 4  # how reflected signals are detected
+LATE_FORGET_S = 10.0  # in which codes average what a jump is compared with; chosen, three times multipath_tau_s
 LN10 = math.log(10.0)
 COHERENT_S = 0.02  # of a correlation: a bit of the GPS L1 C/A message
 
@@ -280,18 +287,56 @@ def settle_half_cycle(rules, signal):  # type: ignore[no-untyped-def]
     return True
 
 
+@jit(inline=True)
+def _exceeds(shift, limit):  # type: ignore[no-untyped-def]
+    """Probability ``P(abs(N(shift, 1)) > limit)``."""
+    return 0.5 * (math.erfc((limit - shift) / math.sqrt(2.0)) + math.erfc((limit + shift) / math.sqrt(2.0)))
+
+
 @jit
-def judge(rules, reflected, u, signal):  # type: ignore[no-untyped-def]
+def judge(rules, reflected, angle, u, signal):  # type: ignore[no-untyped-def]
     """The verdict of the detector on a signal; it lasts until the path changes or, by chance, it is judged anew.
 
-    A signal that the receiver has just found is judged too. ``u`` are UNIFORMS, of which lower digits are used, so that
-    a detector changes no other draw.
+    ``angle``: of the tracked arrival to the direction of the satellite [rad]. Tests of the angle and of the difference
+    of C/N0 between two bands have normal errors, so that their power follows from the size. A signal that the receiver
+    has just found is judged too. ``u`` are UNIFORMS, of which lower digits are used, so that a detector changes no
+    other draw.
     """
     new = signal.code_s <= rules.dt
     if new or reflected != signal.reflected or digits(u.kind, 1e8) < rules.renews:
+        chance = rules.finds if reflected else rules.mistakes
+        if rules.detects == BY_ANGLE:
+            chance = _exceeds(angle / rules.detector_sigma, rules.detector_limit)
+        elif rules.detects == BY_SPLIT:
+            chance = _exceeds(abs(signal.tracked.split) / rules.detector_sigma, rules.detector_limit)
         signal.reflected = reflected
-        signal.flagged = digits(u.slip, 1e8) < (rules.finds if reflected else rules.mistakes)
+        signal.flagged = digits(u.slip, 1e8) < chance
     return signal.flagged
+
+
+@jit
+def comes_late(rules, power, position, signal, out):  # type: ignore[no-untyped-def]
+    """Whether the code has become later than its Doppler says, as where a reflection takes the place of the direct ray.
+
+    Tested is the sum of ``code_k - code_(k-1) - dt range_rate + (e_k - e_(k-1)).x``, a code less what the range rates
+    add up to, against its mean over some LATE_FORGET_S. The last term is what the satellite's motion adds; it takes a
+    position within 100 m, for it turns by 1e-4 rad/s. A code that comes earlier is believed at once: reflections only
+    delay it. Signals that begin late are not found, and a delay J is found for ``LATE_FORGET_S ln(J / limit)``.
+    """
+    e, x = out.e, position
+    limit = rules.detector_limit * rules.detector_sigma * math.sqrt(power)
+    if signal.code_s - rules.dt < rules.code_delay:
+        signal.late_m = 0.0
+    else:
+        turned = (e[0] - signal.e[0]) * x[0] + (e[1] - signal.e[1]) * x[1] + (e[2] - signal.e[2]) * x[2]
+        signal.late_m *= 1.0 - rules.dt / LATE_FORGET_S
+        signal.late_m += out.code[0] - signal.code_m - rules.dt * out.range_rate + turned
+        if signal.late_m < -limit:
+            signal.late_m = 0.0
+    signal.code_m = out.code[0]
+    for k in range(3):
+        signal.e[k] = e[k]
+    return signal.late_m > limit
 
 
 @jit
@@ -403,11 +448,19 @@ def by_paths(rules, reception, way, system, u, signal, work):  # type: ignore[no
         rules.paths, rules.wavelength[system], rules.chip[system], rules.bands, reception.edge, digits(u.slip, 1e4),
         memory, count, work,
     )  # fmt: skip
+    work.angle = work.arrivals[strongest].angle_rad
     if work.arrivals[strongest].source != DIRECT:
         reception.path = REFLECTED
     else:
         reception.path = MULTIPATH if count > 1 and kind == LOS else kind
     return True, broken, rate, fade
+
+
+@jit(inline=True)
+def _leave_out(out):  # type: ignore[no-untyped-def]
+    out.tracked, out.cn0, out.range_rate = False, 0.0, 0.0
+    for b in range(BANDS):
+        out.code[b] = out.phase[b] = 0.0
 
 
 @jit(borrows=True)
@@ -444,10 +497,9 @@ def observe_vehicle(rules, site, slows, own, draws, sky, reception, truth, of_fa
     h = (truth.position[2] + spoof[2]) + (reference[2] + shift[2])
     for s in range(reception.shape[0]):
         signal, out, effect = memory[s], signals[s], effects[s]
-        out.tracked = out.lock_lost = out.reflected = False
-        out.cn0 = out.range_rate = 0.0
+        out.lock_lost = out.reflected = False
+        _leave_out(out)
         for b in range(BANDS):
-            out.code[b] = out.phase[b] = 0.0
             out.integer_error[b] = effect.integer_error[b]
         for k in range(3):
             out.e[k] = los[s, k]
@@ -471,7 +523,8 @@ def observe_vehicle(rules, site, slows, own, draws, sky, reception, truth, of_fa
         if rules.near.fitted:
             root = math.sqrt(0.5 * (1.0 + slant * slant))
             late_rate += advance_near(rules.near, speed, root, draws.near[s], signal.near, work)
-        out.reflected = rules.detects and arrives and judge(rules, reception[s].path == REFLECTED, uniform, signal)
+        if arrives and rules.detects != NEVER and rules.detects != BY_JUMP:
+            out.reflected = judge(rules, reception[s].path == REFLECTED, work.angle, uniform, signal)
         # A signal that the detector flags is left out, right or wrong: its code may be late by tens of metres.
         if not has_code or (out.reflected and rules.excludes):
             continue
@@ -484,6 +537,10 @@ def observe_vehicle(rules, site, slows, own, draws, sky, reception, truth, of_fa
         motion = e * vx + n * vy + u * vz
         rate_error = rules.rate_sigma * math.sqrt(power) * signal.rate
         out.range_rate = receiver.drift - motion + effect.range_rate_bias_mps + rate_error + late_rate
+        if rules.detects == BY_JUMP:
+            signal.flagged = out.reflected = comes_late(rules, power, truth.position, signal, out)
+            if out.reflected and rules.excludes:
+                _leave_out(out)
 
 
 @jit

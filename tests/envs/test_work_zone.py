@@ -260,6 +260,39 @@ def test_a_closure_that_cannot_be_is_refused(world: dict[str, Any], name: str) -
         DrivingEnv(make_config(ID, {"world": world}))
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"observation": {"closure": True}}, r"observation\.closure must be false .*KeepingWorld, got True: .*Zone"),
+        ({"cost": {"route": 1.0}}, r"cost\.route must be 0 .* LaneKeepingWorld, got 1\.0: .*GuidanceWorld"),
+        ({"cost": {"gore": 1.0}}, r"cost\.gore must be 0 .* LaneKeepingWorld, got 1\.0: .*exit-v0"),
+    ],
+)
+def test_what_a_world_does_not_have_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        DrivingEnv(make_config("lanebound/LaneKeeping-v0", changes))
+
+
+def test_a_fork_of_highway_env_has_a_gore() -> None:
+    assert DrivingEnv({"base": "exit-v0", "cost": {"gore": 1.0}}).config.cost.gore == 1.0
+
+
+def test_beside_the_closure_the_announced_limit_costs_to_break() -> None:
+    """At 12 m/s, within the limit of the road; the closure's of 8.3 m/s is exceeded, on either lane."""
+    env = DrivingEnv(make_config(ID, ALONE))
+    env.reset(seed=2)
+    closure, car, network = env.world.closure, env.world.vehicle, env.world.road.network
+    for station, excess in ((closure.start_m - 50.0, 0.0), (closure.start_m + 20.0, 12.0 - 3.0 / 3.6 - 8.3)):
+        index = (*closure.lane_index[:2], 1 - closure.lane_index[2])
+        lane = network.get_lane(index)
+        car.position, car.heading, car.speed = lane.position(station, 0.0), lane.heading_at(station), 12.0
+        car.lane_index = car.target_lane_index = index
+        car.lane, car.target_speed = lane, 12.0
+        *_, info = env.step(IDLE)
+        assert info["cost_speeding"] == pytest.approx(excess / 8.3 * env.dt_s, rel=0.1)
+    assert env.config.cost.speeding == 2.0
+
+
 def test_other_ids_keep_their_observations() -> None:
     for env_id in lanebound.envs.IDS:
         assert not make_config(env_id).observation.closure

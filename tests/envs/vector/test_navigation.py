@@ -103,10 +103,20 @@ OUTAGES: dict[str, Any] = {"navigator": {"corrections": {"outage_per_h": 900.0}}
 COLD: dict[str, Any] = {"navigator": {"imu": {"mems_exponential": True}}}
 
 
+DIRECTION = {"fde": {"search": "direction"}, "risk": {"constellation_prior": [1e-6] * 5}}
+
+
+def detector(kind: str) -> dict[str, Any]:
+    """A navigator's detector of reflected signals."""
+    return {"gnss": {"reflection_detector": {"kind": kind}}}
+
+
 @pytest.mark.parametrize(
     ("name", "config"),
     [
         ("LaneKeeping", {"sky": "dense", "layouts": 2, "observation": {"history": 2, "satellites_m": []}}),
+        ("LaneKeeping", {"sky": "dense", "layouts": 2, "navigator": {**DIRECTION, **detector("code_doppler")}}),
+        ("LaneKeeping", {"sky": "dense", "layouts": 2, "navigator": detector("two_band_cn0")}),
         ("CarFollowing", {"sky": "open", "layouts": 2, **OUTAGES, **PERFECT, **SENSOR}),
         ("LaneKeeping", {"sky": "open", "layouts": 2, "navigator": OUTAGES["navigator"] | COLD["navigator"]}),
         ("Highway", {**FEW, **OUTAGES}),

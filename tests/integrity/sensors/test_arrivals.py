@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import binom, norm
 
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.arrival_kernel import TRACKED
-from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, gnss_parameters
-from lanebound.integrity.sky.propagation_kernel import edge_detour
+from lanebound.integrity.sensors.gnss import TESTS, GnssConfig, GnssEpoch, gnss_parameters
+from lanebound.integrity.sky.propagation_kernel import antenna_amplitude, edge_detour
 from lanebound.integrity.sky.raytrace_kernel import EDGE_LINE, FACE, RECEPTION
 from lanebound.integrity.sky.systems import CHIP_M, WAVELENGTH_M
 from lanebound.integrity.sky.visibility import Reception, SignalPath
@@ -31,6 +31,7 @@ def faces(*planes: tuple[tuple[float, float, float], float, int]) -> np.ndarray:
     return table
 
 
+METAL_RULES = gnss_parameters(PATHS, DT)[0]["paths"]
 METAL = faces(((0.0, 1.0, 0.0), -FACE_SOUTH_M, 3))  # a metal wall 20 m south of the origin, it faces north
 
 
@@ -321,3 +322,40 @@ def test_fading_in_motion_is_that_of_the_phase_between_the_rays() -> None:
     np.testing.assert_allclose(10.0 ** (seen[:, lit].min(0) / 20.0), 1.0 - a, atol=0.01)
     assert (a < 0.41).all()
     assert math.isclose(a.max(), 0.4, abs_tol=0.02)  # metal reflects nearly all, by the response to left-handed waves
+
+
+def test_an_array_finds_reflections_by_the_angle_to_their_mirrored_direction() -> None:
+    """Error 5 degrees: rates over 400 receivers are those of a normal error of the angle between e and its image."""
+    test, where, batch = TESTS["antenna_array"], truth(3.0, -4.0), 400
+    config = PATHS.replace(reflection_detector={"kind": "antenna_array", "use": "flag"})
+    found = np.zeros(N_SAT)
+    for seed in range(batch):
+        seen = reception(SignalPath.REFLECTED, (0, -1))
+        epoch = _Receiver(config, seeds=seed, settle=0).step(reception=seen, truth=where)
+        assert epoch.reflected is not None
+        found += epoch.reflected[0]
+    e = _sky(1).los_enu[0]
+    lit, image = e[:, 1] > 0.0, e * np.array([1.0, -1.0, 1.0])
+    angle = np.arccos(np.clip(np.sum(e * image, -1), -1.0, 1.0))
+    power = norm.sf(test.limit - angle / test.sigma) + norm.sf(test.limit + angle / test.sigma)
+    low, high = binom.ppf(5e-5, batch, power), binom.ppf(1.0 - 5e-5, batch, power)
+    assert ((low <= found) & (found <= high))[lit].all()
+    assert power[lit].max() > 0.99
+
+
+def test_two_paths_differ_between_bands_as_their_sums_do() -> None:
+    """At rest: the smoothed difference of C/N0 is that of ``abs(1 + a exp(j p))`` at both wavelengths."""
+    where = truth(3.0, -13.0)
+    receiver = receiver_in(lambda: reception(SignalPath.LOS, (0, -1)), where, PATHS.replace(cross_polar=1.0))
+    memory, north = receiver.state.signals["tracked"][0], north_of(receiver)
+    lit = north > 0.0
+    figures = METAL_RULES["permittivity"][3], 1.0, METAL_RULES["roughness"][3]
+    first = np.broadcast_to(WAVELENGTH_M[SYSTEM, 0], N_SAT)[lit]
+    gamma = np.array([antenna_amplitude(c, *figures, w) for c, w in zip(north[lit], first, strict=True)])
+    wave = np.broadcast_to(WAVELENGTH_M[SYSTEM, :2], (N_SAT, 2))[lit]
+    turns = 2.0 * (FACE_SOUTH_M - 13.0) * north[lit, None] / wave
+    level = 20.0 * np.log10(np.abs(1.0 + gamma[:, None] * np.exp(-2j * np.pi * turns)))
+    level = np.maximum(level, -20.0)  # a loop follows no deeper fade
+    np.testing.assert_allclose(memory["split"][lit], level[:, 0] - level[:, 1], atol=1e-6)
+    np.testing.assert_array_equal(memory["split"][~lit], 0.0)
+    assert np.abs(memory["split"][lit]).max() > 1.0

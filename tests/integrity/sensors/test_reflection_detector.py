@@ -11,7 +11,8 @@ from scipy.stats import binom
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.navigators.monitored_codes import MonitoredCodesConfig
 from lanebound.integrity.navigators.navigator import NavigatorConfig
-from lanebound.integrity.sensors.gnss import RATES, GnssConfig
+from lanebound.integrity.sensors.gnss import RATES, TESTS, GnssConfig
+from lanebound.integrity.sensors.gnss_kernel import _exceeds
 from lanebound.integrity.sky.propagation_kernel import reflection_coefficients
 from lanebound.integrity.sky.scene import material_table, permittivities
 from lanebound.integrity.sky.visibility import RAY_HZ, SignalPath
@@ -102,3 +103,62 @@ def test_monitors_with_a_map_need_flags() -> None:
         NavigatorConfig.load({"gnss": {"reflection_detector": {"kind": "fisheye", "use": "flag"}}})
     flagged = {"reflection_detector": {"kind": "fisheye", "use": "flag"}}
     assert MonitoredCodesConfig(monitor="map_exclude", gnss=flagged).gnss.reflection_detector.rates == RATES["fisheye"]
+
+
+def test_a_test_has_its_false_alarm_rate_and_half_power_at_its_threshold() -> None:
+    for name in ("antenna_array", "two_band_cn0"):
+        assert _exceeds(0.0, TESTS[name].limit) == pytest.approx(0.01, abs=1e-6)
+        assert _exceeds(TESTS[name].limit, TESTS[name].limit) == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize(("kind", "rate"), [("antenna_array", 0.01), ("two_band_cn0", 0.01)])
+def test_tests_of_direct_signals_have_their_false_alarm_rate(kind: str, rate: float) -> None:
+    batch = 2000
+    found = _Receiver(detected(kind=kind, use="flag"), batch, 7).step(reception=_reception(batch)).reflected
+    assert found is not None
+    low, high = binom.ppf([0.5 * ALARM, 1.0 - 0.5 * ALARM], found.size, rate)
+    assert low <= found.sum() <= high
+
+
+def test_an_array_finds_an_unknown_face_and_equal_bands_show_nothing() -> None:
+    """At 60 degrees an array of 5 degrees never misses; a reflection alone has the same loss in both bands."""
+    shares = []
+    for kind in ("antenna_array", "two_band_cn0"):
+        receiver = _Receiver(detected(kind=kind, use="flag"), 500, 7)
+        found = receiver.step(reception=_reception(500, path=SignalPath.REFLECTED, excess_m=20.0)).reflected
+        assert found is not None
+        shares.append(found.mean())
+    assert shares[0] == 1.0
+    assert shares[1] < 0.03
+
+
+def test_one_band_has_no_difference() -> None:
+    with pytest.raises(ConfigError, match=r"must not be 'two_band_cn0' with one band, got bands \[0\]"):
+        detected(GnssConfig(bands=[0]), kind="two_band_cn0")
+
+
+def test_codes_against_doppler_keep_their_false_alarm_rate() -> None:
+    """Direct signals with noise, slow multipath and errors of range rates; 10 s between the epochs that count."""
+    receiver, flags, seen = _Receiver(detected(GnssConfig(), kind="code_doppler", use="flag"), 300, 11), 0, 0
+    for k in range(1200):
+        epoch = receiver.step(reception=_reception(300))
+        if k % 100 == 99:
+            assert epoch.reflected is not None
+            flags, seen = flags + int(epoch.reflected.sum()), seen + int(epoch.tracked.sum())
+    assert flags > 0
+    assert binom.sf(flags - 1, seen, 1e-3) > ALARM
+
+
+def test_a_code_that_becomes_late_is_left_out_until_it_comes_back() -> None:
+    receiver = _Receiver(detected(kind="code_doppler"), 2, 3)
+    for _ in range(50):
+        assert receiver.step(reception=_reception(2)).reflected is not None
+    tracked = []
+    for _ in range(80):
+        epoch = receiver.step(reception=_reception(2, path=SignalPath.REFLECTED, excess_m=20.0))
+        tracked.append(bool(epoch.tracked.any()))
+    assert not any(tracked[1:])
+    assert (epoch.reflected if epoch.reflected is not None else np.zeros(1)).all()
+    back = [receiver.step(reception=_reception(2)) for _ in range(20)]
+    assert back[-1].tracked.all()
+    assert not back[-1].code_m[~back[-1].tracked].any()
