@@ -19,6 +19,7 @@ from lanebound.envs.recordings import require_recordable
 from lanebound.envs.scene import alert_limits_m, duration_s, navigator_config, set_scene
 from lanebound.envs.world import checked_command
 from lanebound.envs.worlds.followers import add_followers
+from lanebound.envs.worlds.tolling import ClaimAction, sensible_claims
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
@@ -315,6 +316,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         inner = self.world.action_type
         if not isinstance(inner, DiscreteMetaAction):
             raise InputError("action_masks needs meta-actions, got continuous ones: there is nothing to mask")
+        if isinstance(inner, ClaimAction):
+            return sensible_claims(self._loop().episodes.ego)[0]
         inner.controlled_vehicle = self._loop().believed
         try:
             allowed = inner.get_available_actions()
