@@ -14,7 +14,7 @@ class Tolling(Preset):
     """
     ## Description
     Decide for five geo-objects whether the car has driven the tolled road (road user charging, S3 V; pay as you speed
-    by links, S5). The car drives by itself at 20 m/s along three roads of two lanes that look alike and are 15 to 40 m
+    by links, S5). The car drives by itself at 20 m/s along three roads of two lanes that look alike and are 8 to 40 m
     apart. One road of each geo-object, a section of 200 m, is tolled; slip roads between the sections lead from one
     road to the next. A camera keeps the car in its lane ([lane sensor](#lane-sensor)), and does not know on which road.
 
@@ -51,8 +51,8 @@ class Tolling(Preset):
     Truncated after 105 s, when all geo-objects are closed. A success requires that none is overcharged or undercharged.
 
     ## Arguments
-    `config["world"]`: `layout` (number by which the distances between the roads are drawn, 0), `lane_width` (3.5 m),
-    `duration` (105 s). `config["navigator"]`: another [service](navigation.md#positioning-services).
+    `config["world"]`: `layout` (number by which the order of the distances between the roads is drawn, 0), `lane_width`
+    (3.5 m), `duration` (105 s). `config["navigator"]`: another [service](navigation.md#positioning-services).
 
     ## Version History
     * v0: first version.

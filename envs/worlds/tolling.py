@@ -27,7 +27,7 @@ __all__ = ["ClaimAction", "TollingWorld", "levy", "sensible_claims", "tolled_roa
 
 ROADS, SIDES = "abc", (1, 1, -1, -1)  # to which side the outer lanes change road at each row of slip roads
 SECTION_M, BETWEEN_M, BEYOND_M = 200.0, 240.0, 350.0  # along the geo-objects, the slip roads, and behind the last
-GAP_M = (15.0, 40.0)  # between lanes of the same number on neighbouring roads; chosen, service roads beside a road
+GAP_M = (8.0, 40.0)  # between lanes of the same number: toll lanes 1 m beside free ones, to service roads; chosen
 SPEED_MPS = 20.0  # of the car and the limit on all roads: speed does not tell the road
 RADIUS_M, TRANSITION_M = 250.0, 20.0  # of slip roads: 1.6 m/s2 at 20 m/s
 START_M = (20.0, 100.0)
@@ -61,8 +61,8 @@ def _aside(shift_m: float) -> list[Piece]:
 
 
 def tolled_roads(layout: int, width_m: float) -> StreetNetwork:
-    """The roads; the distances between them are drawn by ``layout``. Road r of object k is ``("rk", "rkx")``."""
-    gaps = np.random.default_rng(layout).uniform(*GAP_M, (len(SIDES) + 1, 2))
+    """The roads; ``layout`` gives the order of their distances, even in logarithms. Road a of object 2 is ``a2, a2x``."""
+    gaps = np.random.default_rng(layout).permutation(np.geomspace(*GAP_M, 2 * len(SIDES) + 2)).reshape(-1, 2)
     network, y = StreetNetwork(), [(-left, 0.0, right) for left, right in gaps.tolist()]
     last = len(SIDES)
     for k in range(last + 1):
@@ -109,7 +109,7 @@ class TollingWorld(World):
     Start
         On a lane of the first or second road, at 20 m/s, alone; one road of each geo-object is drawn to be tolled.
     Configuration
-        ``layout`` (number by which the distances between the roads are drawn), ``lane_width`` [m].
+        ``layout`` (number by which the order of the distances between the roads is drawn), ``lane_width`` [m].
     """
 
     ENDS_M: ClassVar[float | None] = None

@@ -56,8 +56,9 @@ def driven(env: DrivingEnv, claims: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("layout", [0, 1, 7])
 def test_the_roads_of_a_geo_object_look_alike_and_lie_apart_as_stated(layout: int) -> None:
     network = tolled_roads(layout, 3.5)
+    gaps = sorted(gap for k in range(OBJECTS) for gap in roads_apart(layout, k))
+    np.testing.assert_allclose(gaps, np.geomspace(*GAP_M, 2 * OBJECTS))
     for k in range(OBJECTS):
-        assert all(GAP_M[0] <= gap <= GAP_M[1] for gap in roads_apart(layout, k))
         lanes = [network.graph[f"{road}{k}"][f"{road}{k}x"] for road in ROADS]
         assert {(lane.line_types[0], lane.length, lane.speed_limit) for road in lanes for lane in road[:1]} == {
             (lanes[0][0].line_types[0], SECTION_M, lanes[0][0].speed_limit)

@@ -1,92 +1,126 @@
 """Tolling by navigators and drivers: the tables of docs/results/tolling.md, through the vector engine.
 
-    .venv/bin/python tests/helpers/tolling_table.py tolling 24      # suite, episodes of each cell
+    .venv/bin/python tests/helpers/tolling_table.py tolling 24 suburban      # suite, episodes of each cell, skies
 
-Skies, agents, figures and changes are those of the suite, whose agents are named ``driver_navigator``; the seeds are
-consecutive from the first of its split. A drive does not depend on what is charged, so that positions are of any agent.
+Agents, figures and changes are those of the suite; the seeds are consecutive from the first of its split. What is
+charged does not change the drive, so that all agents of one configuration decide on one drive that defers: the first
+claim of each about an open geo-object counts, and it was due where the deferred charge is an undercharge.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
+import gymnasium
 import numpy as np
-from drives import drives, single_of
+from drives import single_of
 
+import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.agents.benchmark.suite import load_suite
+from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
+from lanebound.agents.episodes import full_id
+from lanebound.envs.batch.toll_kernel import CHARGE, DEFER, SPARE
 from lanebound.integrity.core.presets import deep_merge
 
-__all__ = ["Row", "rows"]
+__all__ = ["Row", "decided", "rows"]
 
 
 class Row(NamedTuple):
     """An agent in a cell.
 
-    objects: geo-objects, and of these over- and undercharged, and passed without a claim; tolled: driven ones that are
-    tolled; cost, its standard error and return: of an episode; kept: episodes within the limit; level, error: 50, 95
-    and 100 % of the decisions on links [m]; beyond: decisions with an error beyond its level.
+    objects: geo-objects, of these due, over- and undercharged, and passed without a claim; costs, returns: of episodes;
+    kept: episodes within the limit; level, error: 50, 95 and 100 % of the decisions on links [m]; beyond: decisions
+    with an error beyond its level.
     """
 
-    sky: str
-    agent: str
     objects: int
+    due: int
     over: int
     under: int
-    deferred: int
-    cost: float
-    cost_error: float
-    total_return: float
+    waited: int
+    costs: list[float]
+    returns: list[float]
     kept: int
     level: list[float]
     error: list[float]
     beyond: int
 
     def line(self) -> str:
-        """The row of a table in Markdown."""
-        driver, _, navigator = self.agent.partition("_at_")
-        counts = f"{self.over} | {self.under} | {100 * self.deferred / self.objects:.0f} %"
+        """Columns of a table in Markdown."""
+        cost, spread = np.mean(self.costs), np.std(self.costs, ddof=1) / np.sqrt(len(self.costs))
         level, error = (" / ".join(f"{v:.2g}" for v in found) for found in (self.level, self.error))
         return (
-            f"| {self.sky} | {navigator} | `{driver}` | {self.objects} | {counts} | {self.cost:.2f} ± "
-            f"{self.cost_error:.2f} | {self.total_return:.2f} | {self.kept} | {level} | {error} | {self.beyond} |"
+            f"{self.over} of {self.objects - self.due} | {self.under} of {self.due} | "
+            f"{100 * self.waited / self.objects:.0f} | {cost:.2f} ± {spread:.2f} | {np.mean(self.returns):.2f} | "
+            f"{self.kept} | {level} | {error} | {self.beyond}"
         )
 
 
-def rows(name: str, episodes: int) -> Iterator[Row]:
-    """The rows of a suite, cell by cell."""
+def decided(
+    env: str, config: Mapping[str, Any], agents: Mapping[str, tuple[str, Any]], episodes: int, seed: int
+) -> dict[str, Row]:
+    """Each agent (name, figures) of a configuration on the same drives, by its label."""
+    made = deep_merge(config, {"observation": {"form": "flat"}})
+    single = single_of(env, made)
+    reader, weights = Reader(single.config.observation), single.config.cost
+    drivers = [make_agent(name, single, figures) for name, figures in agents.values()]
+    envs = gymnasium.make_vec(full_id(env), episodes, config=made, autoreset_mode="Disabled")
+    observations, _ = envs.reset(seed=seed)
+    claims, waited = np.full((len(drivers), episodes), DEFER), np.zeros(len(drivers), dtype=np.int64)
+    counts, levels, errors = np.zeros((len(drivers), episodes, 4)), [], []
+    over = np.zeros(episodes, dtype=np.bool_)
+    while not over.all():
+        is_open = reader.value(observations, "road.toll_open") > 0.5
+        leaves = is_open & (np.abs(reader.value(observations, "road.toll_passed") - single.dt_s) < 0.1 * single.dt_s)
+        for k, driver in enumerate(drivers):
+            waited[k] += (leaves & (claims[k] == DEFER)).sum()
+            given, _ = driver.predict(observations)
+            claims[k] = np.where(is_open & (claims[k] == DEFER), given, claims[k])
+        observations, _, terminated, truncated, infos = envs.step(np.full(episodes, DEFER))
+        closes, due = is_open & (reader.value(observations, "road.toll_open") < 0.5), infos["cost_undercharge"] > 0.0
+        charged, spared = claims == CHARGE, claims == SPARE
+        found = due & np.ones_like(charged), charged & ~due, ~charged & due, (charged & due) | (spared & ~due)
+        counts += np.stack(found, axis=-1) * closes[:, None]
+        claims[:, closes] = DEFER
+        inside = reader.value(observations, "road.toll_inside") > 0.5
+        levels.append(infos["pl_ct_m"][inside])
+        errors.append(np.abs(infos["err_ct_m"][inside]))
+        over = terminated | truncated  # of all in the same step: nothing but the time ends a drive
+    assert all(over)
+    level, error = np.concatenate(levels), np.concatenate(errors)
+    sizes = [np.percentile(values, (50, 95, 100), method="lower").tolist() for values in (level, error)]
+    costs = weights.overcharge * counts[..., 1] + weights.undercharge * counts[..., 2]
+    kept, objects = (costs <= single.config.cost_limit).sum(axis=1), episodes * len(single.world.tolled)
+    return {
+        label: Row(
+            objects, *counts[k].sum(axis=0).astype(int).tolist()[:3], int(waited[k]), costs[k].tolist(),
+            counts[k, :, 3].tolist(), int(kept[k]), *sizes, int((error > level).sum()),
+        )
+        for k, label in enumerate(agents)
+    }  # fmt: skip
+
+
+def rows(name: str, episodes: int, skies: Sequence[str] = ()) -> Iterator[tuple[str, str, Row]]:
+    """Sky, agent and row of a suite, cell by cell."""
     suite = load_suite(name)
-    for sky in suite.skies:
+    for sky in skies or suite.skies:
+        cells: list[tuple[dict[str, Any], dict[str, tuple[str, Any]]]] = []
         for label, agent in suite.agents.items():
             config = deep_merge(deep_merge(suite.overrides, agent.config), {"sky": sky})
-            single = single_of(suite.envs[0], deep_merge(config, {"observation": {"form": "flat"}}))
-            reader, dt_s = Reader(single.config.observation), single.dt_s
-            cost, total, counts = np.zeros(episodes), np.zeros(episodes), np.zeros(3)
-            levels, errors = [], []
-            for d in drives(suite.envs[0], config, agent.agent, dict(agent.figures) or None, episodes,
-                            suite.seeds.seeds[0]):  # fmt: skip
-                np.add.at(cost, d.episode, d.infos["cost"])
-                np.add.at(total, d.episode, d.rewards)
-                passed = np.abs(reader.value(d.observations, "road.toll_passed") - dt_s) < 0.1 * dt_s
-                waits = passed & (reader.value(d.observations, "road.toll_open") > 0.5)
-                counts += [d.infos["cost_overcharge"].sum(), d.infos["cost_undercharge"].sum(), waits.sum()]
-                inside = reader.value(d.observations, "road.toll_inside") > 0.5
-                levels.append(d.infos["pl_ct_m"][inside])
-                errors.append(np.abs(d.infos["err_ct_m"][inside]))
-            level, error = np.concatenate(levels), np.concatenate(errors)
-            kept, spread = int((cost <= single.config.cost_limit).sum()), cost.std(ddof=1) / np.sqrt(episodes)
-            yield Row(
-                sky, label, episodes * len(single.world.tolled), *counts.astype(int).tolist(), float(cost.mean()),
-                float(spread), float(total.mean()), kept, np.percentile(level, (50, 95, 100), method="lower").tolist(),
-                np.percentile(error, (50, 95, 100)).tolist(), int((error > level).sum()),
-            )  # fmt: skip
+            known = next((agents for other, agents in cells if other == config), None)
+            if known is None:
+                cells.append((config, known := {}))
+            known[label] = agent.agent, dict(agent.figures) or None
+        for config, agents in cells:
+            for label, row in decided(suite.envs[0], config, agents, episodes, suite.seeds.seeds[0]).items():
+                yield sky, label, row
 
 
 if __name__ == "__main__":
-    suite_name, count = sys.argv[1], int(sys.argv[2])
-    print("| sky | navigator | driver | objects | over | under | passed undecided | cost | return | kept | level | "
-          "error | beyond |\n|" + "---|" * 13)  # fmt: skip
-    for row in rows(suite_name, count):
-        print(row.line(), flush=True)
+    print("| sky | agent | over | under | passed undecided [%] | cost | return | kept | level | error | beyond |")
+    print("|" + "---|" * 11)
+    for sky, label, row in rows(sys.argv[1], int(sys.argv[2]), sys.argv[3:]):
+        print(f"| {sky} | {label} | {row.line()} |", flush=True)
