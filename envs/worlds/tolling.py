@@ -61,7 +61,10 @@ def _aside(shift_m: float) -> list[Piece]:
 
 
 def tolled_roads(layout: int, width_m: float) -> StreetNetwork:
-    """The roads; ``layout`` gives the order of their distances, even in logarithms. Road a of object 2 is ``a2, a2x``."""
+    """The roads; road a of geo-object 2 is ``("a2", "a2x")``.
+
+    ``layout`` draws the order of the distances between them, whose logarithms are evenly spaced.
+    """
     gaps = np.random.default_rng(layout).permutation(np.geomspace(*GAP_M, 2 * len(SIDES) + 2)).reshape(-1, 2)
     network, y = StreetNetwork(), [(-left, 0.0, right) for left, right in gaps.tolist()]
     last = len(SIDES)

@@ -9,6 +9,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from drives import drives
+from tolling_table import decided
 
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
@@ -40,8 +42,8 @@ def driven(env: DrivingEnv, claims: Any) -> dict[str, Any]:
     tolls, found = loop.episodes.ego["toll"], {"over": 0.0, "under": 0.0, "reward": 0.0, "at": [], "roads": {}}
     over = False
     while not over:
-        start, _, _ = env.world.vehicle.lane_index
-        if (start, f"{start}x") in env.world.road.network.geo_objects:
+        start, end, _ = env.world.vehicle.lane_index
+        if end == f"{start}x":
             found["roads"][int(start[1:])] = start[0]
         _, reward, terminated, truncated, info = env.step(claims(tolls[0]))
         over = terminated or truncated
@@ -242,6 +244,29 @@ def test_only_an_open_object_can_be_decided() -> None:
     assert decided > 5
     env.close()
     envs.close()
+
+
+def test_all_drivers_may_decide_on_one_drive() -> None:
+    """The table of results has what a drive with the claims of the driver costs and earns."""
+    config, episodes = {"sky": "open", "navigator": "services/spp"}, 4
+    row = decided("Tolling", config, {"aware": ("integrity_aware", None)}, episodes, 1000)["aware"]
+    costs, returns = np.zeros(episodes), np.zeros(episodes)
+    for d in drives("Tolling", config, "integrity_aware", None, episodes, 1000):
+        np.add.at(costs, d.episode, d.infos["cost"])
+        np.add.at(returns, d.episode, d.rewards)
+    assert row.costs == costs.tolist()
+    assert row.returns == returns.tolist()
+    assert 0.0 < costs.sum() < row.due
+
+
+@pytest.mark.slow
+def test_who_claims_without_looking_does_not_keep_the_limits() -> None:
+    agents = {"sound": ("integrity_aware", None)}
+    agents |= {f"always_{code}": ("constant", {"claim": code}) for code in (DEFER, CHARGE, SPARE)}  # type: ignore[dict-item]
+    sound, *others = decided("Tolling", {}, agents, 24, 10_000).values()
+    assert all(row.kept <= 0.5 * sound.kept for row in others)
+    assert all(np.mean(row.returns) < np.mean(sound.returns) for row in others)
+    assert sound.over == 0
 
 
 def test_it_is_an_id_as_the_others() -> None:
