@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -10,13 +11,17 @@ import gymnasium
 import numpy as np
 import pytest
 from drives import drives
+from gymnasium.utils.env_checker import check_env
+from sb3_contrib import MaskablePPO
 from tolling_table import decided
 
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.charging import claim
+from lanebound.agents.drivers.keyboard import Key, KeyboardDriver
 from lanebound.agents.drivers.rules import RuleBook
 from lanebound.agents.episodes import full_id
+from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.batch.lanes import lane_table
 from lanebound.envs.batch.toll_kernel import CHARGE, DEFER, SPARE, WINDOW_S
@@ -269,13 +274,53 @@ def test_who_claims_without_looking_does_not_keep_the_limits() -> None:
     assert sound.over == 0
 
 
+def test_several_processes_decide_as_one() -> None:
+    make = partial(gymnasium.make_vec, "lanebound/Tolling-v0", 3, config=GIVEN)
+    one, two = make(), make(processes=2)
+    with closing(one), closing(two):
+        seen = [envs.reset(seed=5)[0] for envs in (one, two)]
+        one.action_space.seed(6)
+        for _ in range(30):
+            action = one.action_space.sample()
+            steps = [envs.step(action) for envs in (one, two)]
+            seen = [step[0] for step in steps]
+            assert all(np.array_equal(seen[0][group], seen[1][group]) for group in seen[0])
+            np.testing.assert_array_equal(steps[0][1], steps[1][1])
+            masks = [envs.unwrapped.action_masks() for envs in (one, two)]  # type: ignore[attr-defined]
+            np.testing.assert_array_equal(*masks)
+
+
+def test_a_learner_takes_the_masks() -> None:
+    env = EngineVecEnv("lanebound/Tolling-v0", 2, {**GIVEN, "observation": {"form": "flat"}})
+    model = MaskablePPO("MlpPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=1, device="cpu")
+    assert model.learn(32).num_timesteps == 32
+    env.close()
+
+
+def test_keys_charge() -> None:
+    with closing(DrivingEnv(make_config("lanebound/Tolling-v0", GIVEN))) as env:
+        keys = KeyboardDriver(env)
+        found = []
+        for key in (None, Key.UP, Key.DOWN, Key.LEFT):
+            if key is not None:
+                keys.press(key)
+            found.append(keys.act(None))
+            keys.reset()
+        assert found == [DEFER, CHARGE, SPARE, DEFER]
+
+
 def test_it_is_an_id_as_the_others() -> None:
     assert full_id("tolling") == "lanebound/Tolling-v0"
-    env = gymnasium.make("lanebound/Tolling-v0", config=GIVEN)
+    env = gymnasium.make("lanebound/Tolling-v0", config=GIVEN, render_mode="rgb_array")
+    check_env(env.unwrapped, skip_render_check=True)
     first, _ = env.reset(seed=7)
     again, _ = env.reset(seed=7)
     assert all(np.array_equal(first[group], again[group]) for group in first)
     assert env.action_space.n == 3  # type: ignore[attr-defined]
+    picture = env.render()
+    assert isinstance(picture, np.ndarray)
+    assert picture.std() > 0.0
+    env.close()
 
 
 def test_what_makes_no_sense_is_refused() -> None:
