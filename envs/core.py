@@ -92,7 +92,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `comfort` | 0.1 | `-min(1, (a / 2 m/s2)^2) dt` |
     | `collision` | -5 | 1 in the step of a crash |
     | `base` | 0 | the reward of the wrapped world of highway-env |
-    | `toll` | 1 | 1 for a geo-object that closes with the right claim; only in Tolling |
+    | `toll` | 1 | 1 for a geo-object that is settled with the right claim; only in Tolling |
 
     ## Costs
     Costs are not part of the reward. `info["cost"]` is their weighted sum in a step; an episode's sum does not depend
@@ -113,8 +113,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_speeding` | 0 | `max(0, (v cos(psi) - 3 km/h) / v_limit - 1) dt`, at most dt, of the lane of the car |
     | `cost_route` | 0 | 1 in the step in which the car comes onto a road that does not lead to the goal of the world |
     | `cost_gore` | 0 | dt while the body is over a line of its lane within 50 m (`cost.gore_m`) of a fork |
-    | `cost_overcharge` | 0 | 1 where a geo-object closes that is charged and that the car has not driven; in Tolling |
-    | `cost_undercharge` | 0 | 1 where one closes that is not charged and that the car has driven |
+    | `cost_overcharge` | 0 | 1 where a geo-object is charged that the car has not driven; only in Tolling |
+    | `cost_undercharge` | 0 | 1 where one is not charged that the car has driven |
 
     - `cost_headway` is also computed from the true gap and speeds without PL; the larger value counts.
     - `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with rho = 0.5 s, a

@@ -37,10 +37,7 @@ class CautiousConfig(CruiseConfig):
     speed_share: float = Field(0.8, gt=0, le=1, description="share of the speed that the route allows [-]; chosen")
     lane_m: float = Field(0.3, ge=0, description="the own lane counts as wider by this on each side; chosen")
     link_m: float = Field(
-        10.0,
-        gt=0,
-        description="across, from which a link is excluded, where charges are decided; 5 m less than the "
-        "least distance of roads in Tolling, chosen",
+        10.0, gt=0, description="across, from which a link is excluded, where charges are decided; chosen"
     )
 
 

@@ -35,8 +35,8 @@ and bound of the camera: the car is kept in its lane by the camera, so a level o
 say that it may leave its lane, but that it may be on another road. That has costs of its own: these three, and the
 alert.
 
-``cost_overcharge``  1 where a geo-object closes that is charged and that the TRUE car has not driven, and
-``cost_undercharge``  where one closes that is not charged and that it has (:mod:`.toll_kernel`).
+``cost_overcharge``  1 where a geo-object is settled that is charged and that the TRUE car has not driven, and
+``cost_undercharge``  where one is settled that is not charged and that it has (:mod:`.toll_kernel`).
 
 Under an alert the permitted speed is a share of the limit, or it follows from the level as shown at the last decision
 (:func:`.budget_kernel.permitted_mps`), or with a lane sensor it is the least limit of the roads that levels leave

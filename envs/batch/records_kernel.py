@@ -253,10 +253,11 @@ TOLL = record(
     open=("i8", "geo-object that is open, NONE for none"),
     next=("i8", "the first that has not been opened"),
     inside=("i8", "1 while the believed place is on a link of the open one"),
-    claim=("i8", "about the open one"),
+    claims=("i8", (MOST_OBJECTS,), "about each, DEFER without one"),
+    settled=("i8", "the first that has not been settled"),
     positions=("i8", "observed on its links"),
     near=("i8", "of these, nearest to the tolled link"),
-    wrong=("i8", "1 after an object was closed with a wrong charge, or wrongly without one"),
+    wrong=("i8", "1 after an object was settled with a wrong charge, or wrongly without one"),
     passed_s="since the believed place left its links",
 )
 CLOSURE = record(

@@ -3,7 +3,8 @@
 A geo-object is a stretch at which one of several links beside each other is tolled (S3 V, S5 2.1). It opens where the
 believed place is on one of its links, and closes ``WINDOW_S`` after that place has left them, or where the next one
 opens. In between an agent may claim once that the car is on the tolled link (CHARGE) or that it is not (SPARE); an
-object without a claim is not charged. Truth enters at the close alone: the link that the true car has driven.
+object without a claim is not charged. Truth enters where it is settled alone: by the link that the true car has driven,
+when the object is closed and the true car has left it, or the episode ends.
 
 Shown of an open object are the distances across from the navigator's position to the lane of the tolled link and to
 the nearest one of the other links, in which the car would be by what the camera sees: ``max(|r - r_eye| - bound, 0)``,
@@ -28,45 +29,51 @@ ROUNDING_S = 1e-9
 @jit(borrows=True)
 def follow_toll(ego, car, lanes, rules, start):  # type: ignore[no-untyped-def]
     """Take up a claim, close the geo-object that is over, and open the next; at the end of a step, or at a start."""
-    t, out = ego.toll, ego.outcome
+    t, out, facts = ego.toll, ego.outcome, ego.facts
     out.cost_overcharge = out.cost_undercharge = out.toll = 0.0
     if t.objects == 0:
         return
-    driven = lanes.table[car.lane].geo_object
-    if driven >= 0:
-        t.driven[driven] = lanes.table[car.lane].road
-    if t.open >= 0 and t.claim == DEFER and not start:
-        t.claim = ego.command.claim
+    there = lanes.table[car.lane].geo_object
+    if there >= 0:
+        t.driven[there] = lanes.table[car.lane].road
+    if t.open >= 0 and t.claims[t.open] == DEFER and not start:
+        t.claims[t.open] = ego.command.claim
     here = lanes.table[ego.belief.lane].geo_object
     t.inside = 1 if here >= 0 and here == t.open else 0
     t.passed_s = 0.0 if t.inside != 0 else t.passed_s + rules.policy_s
     if t.open >= 0 and (here > t.open or t.passed_s >= WINDOW_S - ROUNDING_S):
-        _close(t, out)
+        t.open = NONE
     if here >= t.next:
-        t.open, t.next, t.inside, t.claim = here, here + 1, 1, DEFER
+        t.open, t.next, t.inside = here, here + 1, 1
         t.positions, t.near, t.passed_s = 0, 0, 0.0
+    # A place that errs by more than the window is long closes an object before the car is there, or not at all.
+    over = facts.terminated != 0 or facts.truncated != 0
+    while t.settled < t.objects and t.driven[t.settled] >= 0:
+        if not over and (t.settled >= t.next or t.settled == t.open or t.settled == there):
+            break
+        _settle(t, t.claims[t.settled], out)
 
 
 @jit(inline=True)
-def _close(t, out):  # type: ignore[no-untyped-def]
-    """Settle the open object by the link that was driven."""
-    due = t.driven[t.open] == t.tolled[t.open]
-    if t.claim == CHARGE and not due:
-        out.cost_overcharge = 1.0
-    elif t.claim != CHARGE and due:
-        out.cost_undercharge = 1.0
-    elif t.claim != DEFER:
-        out.toll = 1.0
-    if out.cost_overcharge + out.cost_undercharge > 0.0:
+def _settle(t, claim, out):  # type: ignore[no-untyped-def]
+    """Judge the claim about the next object by the link that was driven."""
+    due = t.driven[t.settled] == t.tolled[t.settled]
+    if claim == CHARGE and not due:
+        out.cost_overcharge += 1.0
+    elif claim != CHARGE and due:
+        out.cost_undercharge += 1.0
+    elif claim != DEFER:
+        out.toll += 1.0
+    if due != (claim == CHARGE):
         t.wrong = 1
-    t.open = NONE
+    t.settled += 1
 
 
 @jit(borrows=True)
 def show_toll(ego, lanes, view):  # type: ignore[no-untyped-def]
     """What an agent observes of the open geo-object: the fields ``toll_*`` of VIEW; by the truth for an oracle."""
     t, b, eye, table = ego.toll, ego.shown, ego.eye, lanes.table
-    view.toll_open = 1.0 if t.open >= 0 and t.claim == DEFER else 0.0
+    view.toll_open = 1.0 if t.open >= 0 and t.claims[t.open] == DEFER else 0.0
     view.toll_inside = 1.0 if t.inside != 0 else 0.0
     view.toll_passed_s = t.passed_s if t.open >= 0 else 0.0
     if t.open < 0:

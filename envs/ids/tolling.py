@@ -35,13 +35,14 @@ class Tolling(Preset):
     `toll_passed`. All of them follow from position, camera, map and tariff. The level across is `integrity.pl_ct`.
 
     ## Rewards
-    `toll` alone: 1 for each geo-object that closes with the right claim. To defer to the end earns nothing.
+    `toll` alone: 1 for each geo-object that is settled with the right claim. To defer to the end earns nothing.
 
     ## Costs
-    `cost_overcharge` with a weight of 10 and `cost_undercharge` of 1, when a geo-object closes; all others have none,
-    as the agent does not drive. An overcharge is graver: it has to be justified to the user (charging integrity), an
-    undercharge is lost revenue (charging availability: Grush et al., ITS World Congress 2009; metrics of ISO/TS
-    17444-1; the ratio is chosen, as S3 states no rates).
+    `cost_overcharge` with a weight of 10 and `cost_undercharge` of 1. A geo-object is settled when it is closed and the
+    true car has left it, or when the episode ends. All other causes have no weight, as the agent does not drive. An
+    overcharge is graver: it has to be justified to the user (charging integrity), an undercharge is lost revenue
+    (charging availability: Grush et al., ITS World Congress 2009; metrics of ISO/TS 17444-1; the ratio is chosen, as S3
+    states no rates).
 
     `cost_limit` and `cost_limits.undercharge` are 1, the 0.7 quantile of `integrity_aware` over 48 training seeds; who
     never charges pays 1.8 in the mean. `cost_limits.overcharge` is 0.1: 1 % of what one costs, as the rule for crashes

@@ -98,7 +98,8 @@ def levy(tolls: Records, row: int, table: LaneTable, tolled: tuple[tuple[str, st
 
 def sensible_claims(ego: Records) -> NDArray[np.bool_]:
     """Which claims make sense in environments (N,) EGO, (N, 3): without an open object to be decided none but DEFER."""
-    may = (ego["toll"]["open"] >= 0) & (ego["toll"]["claim"] == DEFER)
+    toll = ego["toll"]
+    may = (toll["open"] >= 0) & (toll["claims"][np.arange(len(toll)), toll["open"]] == DEFER)
     return np.stack([np.ones_like(may), may, may], axis=-1)
 
 

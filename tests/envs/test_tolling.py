@@ -124,7 +124,7 @@ def test_right_claims_are_a_success_and_the_first_one_counts() -> None:
             if k < 0 or toll["driven"][k] < 0:
                 return DEFER
             right = CHARGE if toll["driven"][k] == toll["tolled"][k] else SPARE
-            return right if toll["claim"] == DEFER else CHARGE + SPARE - right
+            return right if toll["claims"][k] == DEFER else CHARGE + SPARE - right
 
         found = driven(env, right_then_wrong)
         assert (found["over"], found["under"], found["reward"], found["success"]) == (0, 0, OBJECTS, True)

@@ -4,7 +4,7 @@
 
 Agents, figures and changes are those of the suite; the seeds are consecutive from the first of its split. What is
 charged does not change the drive, so that all agents of one configuration decide on one drive that defers: the first
-claim of each about an open geo-object counts, and it was due where the deferred charge is an undercharge.
+claim of each about an open geo-object counts.
 """
 
 from __future__ import annotations
@@ -69,35 +69,34 @@ def decided(
     drivers = [make_agent(name, single, figures) for name, figures in agents.values()]
     envs = gymnasium.make_vec(full_id(env), episodes, config=made, autoreset_mode="Disabled")
     observations, _ = envs.reset(seed=seed)
-    claims, waited = np.full((len(drivers), episodes), DEFER), np.zeros(len(drivers), dtype=np.int64)
-    counts, levels, errors = np.zeros((len(drivers), episodes, 4)), [], []
-    over = np.zeros(episodes, dtype=np.bool_)
+    tolls, rows_ = envs.unwrapped.engine.episodes.ego["toll"], np.arange(episodes)  # type: ignore[attr-defined]
+    count = int(tolls["objects"][0])
+    claims, waited = np.full((len(drivers), episodes, count), DEFER), np.zeros(len(drivers), dtype=np.int64)
+    levels, errors, over = [], [], np.zeros(episodes, dtype=np.bool_)
     while not over.all():
-        is_open = reader.value(observations, "road.toll_open") > 0.5
+        is_open, place = reader.value(observations, "road.toll_open") > 0.5, np.maximum(tolls["open"], 0)
         leaves = is_open & (np.abs(reader.value(observations, "road.toll_passed") - single.dt_s) < 0.1 * single.dt_s)
-        for k, driver in enumerate(drivers):
-            waited[k] += (leaves & (claims[k] == DEFER)).sum()
+        for made_so_far, driver, k in zip(claims, drivers, range(len(drivers)), strict=True):
+            decides = is_open & (made_so_far[rows_, place] == DEFER)
+            waited[k] += (leaves & decides).sum()
             given, _ = driver.predict(observations)
-            claims[k] = np.where(is_open & (claims[k] == DEFER), given, claims[k])
+            made_so_far[rows_[decides], place[decides]] = given[decides]
         observations, _, terminated, truncated, infos = envs.step(np.full(episodes, DEFER))
-        closes, due = is_open & (reader.value(observations, "road.toll_open") < 0.5), infos["cost_undercharge"] > 0.0
-        charged, spared = claims == CHARGE, claims == SPARE
-        found = due & np.ones_like(charged), charged & ~due, ~charged & due, (charged & due) | (spared & ~due)
-        counts += np.stack(found, axis=-1) * closes[:, None]
-        claims[:, closes] = DEFER
         inside = reader.value(observations, "road.toll_inside") > 0.5
         levels.append(infos["pl_ct_m"][inside])
         errors.append(np.abs(infos["err_ct_m"][inside]))
         over = terminated | truncated  # of all in the same step: nothing but the time ends a drive
-    assert all(over)
-    level, error = np.concatenate(levels), np.concatenate(errors)
-    sizes = [np.percentile(values, (50, 95, 100), method="lower").tolist() for values in (level, error)]
-    costs = weights.overcharge * counts[..., 1] + weights.undercharge * counts[..., 2]
-    kept, objects = (costs <= single.config.cost_limit).sum(axis=1), episodes * len(single.world.tolled)
+    assert (tolls["settled"] == count).all()
+    due = tolls["driven"][:, :count] == tolls["tolled"][:, :count]
+    charged, spared = claims == CHARGE, claims == SPARE
+    wrong, missed, right = charged & ~due, ~charged & due, (charged & due) | (spared & ~due)
+    costs = weights.overcharge * wrong.sum(axis=2) + weights.undercharge * missed.sum(axis=2)
+    kept, beyond = (costs <= single.config.cost_limit).sum(axis=1), np.concatenate(errors) > np.concatenate(levels)
+    sizes = [np.percentile(np.concatenate(v), (50, 95, 100), method="lower").tolist() for v in (levels, errors)]
     return {
         label: Row(
-            objects, *counts[k].sum(axis=0).astype(int).tolist()[:3], int(waited[k]), costs[k].tolist(),
-            counts[k, :, 3].tolist(), int(kept[k]), *sizes, int((error > level).sum()),
+            due.size, int(due.sum()), int(wrong[k].sum()), int(missed[k].sum()), int(waited[k]), costs[k].tolist(),
+            right[k].sum(axis=1).tolist(), int(kept[k]), *sizes, int(beyond.sum()),
         )
         for k, label in enumerate(agents)
     }  # fmt: skip
