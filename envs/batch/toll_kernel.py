@@ -4,7 +4,7 @@ A geo-object is a stretch at which one of several links beside each other is tol
 believed place is on one of its links, and closes ``WINDOW_S`` after that place has left them, or where the next one
 opens. In between an agent may claim once that the car is on the tolled link (CHARGE) or that it is not (SPARE); an
 object without a claim is not charged. Truth enters where it is settled alone: by the link that the true car has driven,
-when the object is closed and the true car has left it, or the episode ends.
+when the true car has left the object and it is closed, or the episode ends.
 
 Shown of an open object are the distances across from the navigator's position to the lane of the tolled link and to
 the nearest one of the other links, in which the car would be by what the camera sees: ``max(|r - r_eye| - bound, 0)``,
@@ -49,7 +49,7 @@ def follow_toll(ego, car, lanes, rules, start):  # type: ignore[no-untyped-def]
     # A place that errs by more than the window is long closes an object before the car is there, or not at all.
     over = facts.terminated != 0 or facts.truncated != 0
     while t.settled < t.objects and t.driven[t.settled] >= 0:
-        if not over and (t.settled >= t.next or t.settled == t.open or t.settled == there):
+        if t.settled == there or (not over and (t.settled >= t.next or t.settled == t.open)):
             break
         _settle(t, t.claims[t.settled], out)
 
