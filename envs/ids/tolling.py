@@ -38,9 +38,9 @@ class Tolling(Preset):
     `toll` alone: 1 for each geo-object that is settled with the right claim. To defer to the end earns nothing.
 
     ## Costs
-    `cost_overcharge` with a weight of 10 and `cost_undercharge` of 1. A geo-object that the true car has left is settled
-    when it is closed, or when the episode ends. All other causes have no weight, as the agent does not drive. An
-    overcharge is graver: it has to be justified to the user (charging integrity), an undercharge is lost revenue
+    `cost_overcharge` with a weight of 10 and `cost_undercharge` of 1. A geo-object that the true car has left is
+    settled when it is closed, or when the episode ends. All other causes have no weight, as the agent does not drive.
+    An overcharge is graver: it has to be justified to the user (charging integrity), an undercharge is lost revenue
     (charging availability: Grush et al., ITS World Congress 2009; metrics of ISO/TS 17444-1; the ratio is chosen, as S3
     states no rates).
 
