@@ -28,6 +28,7 @@ from lanebound.envs.scene import EpisodeContext
 from lanebound.envs.seats import Seats
 from lanebound.envs.worlds import world_kind
 from lanebound.envs.worlds.closures import announce
+from lanebound.envs.worlds.tolling import ClaimAction, levy
 from lanebound.envs.worlds.wander import Wander
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.navigators.navigator import Measurements
@@ -76,6 +77,7 @@ class BeliefLoop:
         if (closure := getattr(world, "closure", None)) is not None:
             record, radio = self.episodes.ego["closure"][0], config.perception.v2v
             announce(record, self.episodes.table, world.road.network, closure, radio, context.seed)
+        levy(self.episodes.ego["toll"], 0, self.episodes.table, getattr(world, "tolled", ()))
         self.episodes.begin(ROW, [context.seed], context.starts, np.ones((1, self.seats.capacity), dtype=np.bool_))
         if self.meta:
             self._body["target_speed_mps"] = self.episodes.ego["belief"]["target_speed_mps"] = (
@@ -137,6 +139,8 @@ class BeliefLoop:
 
     def step_world(self, command: Any) -> WorldStep:
         """A policy step of the wrapped world, whose simulation is :meth:`simulate`."""
+        if isinstance(self.world.action_type, ClaimAction):
+            self.episodes.ego["command"]["claim"] = command
         _, reward, terminated, truncated, _ = self.world.step(command)
         return WorldStep(bool(terminated), bool(truncated), float(reward))
 

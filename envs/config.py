@@ -231,6 +231,13 @@ class EnvConfig(Config):
         return self
 
     @model_validator(mode="after")
+    def _camera_counts_lanes(self) -> Self:
+        # The lanes of links are told apart by the camera; a car that keeps its lane by metres does not keep it.
+        if self.observation.tolls and self.lane_sensor is None:
+            raise ConfigError("observation.tolls must be false without a lane_sensor, got true: add one")
+        return self
+
+    @model_validator(mode="after")
     def _camera_has_no_budget(self) -> Self:
         # A budget is the room in the lane, which a camera measures: the position has no part in it.
         if self.lane_sensor is not None and self.alert_limit is AlertLimit.BUDGET:

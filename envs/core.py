@@ -19,6 +19,7 @@ from lanebound.envs.recordings import require_recordable
 from lanebound.envs.scene import alert_limits_m, duration_s, navigator_config, set_scene
 from lanebound.envs.world import checked_command
 from lanebound.envs.worlds.followers import add_followers
+from lanebound.envs.worlds.tolling import ClaimAction, sensible_claims
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
@@ -50,9 +51,10 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `"continuous"` | `Box` | acceleration and steering in [-1, 1], as shares of their ranges |
 
     Meta-actions are 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower (Intersection: 0 slower, 1 idle, 2 faster).
-    `env.unwrapped.action_masks()` returns those that are possible from the estimated pose. Steering is limited to a
-    lateral acceleration of 4 m/s2 and, in LaneKeeping, CarFollowing and UrbanCanyon, to a rate of 0.7 rad/s. A brake
-    holds the car at standstill while no acceleration is commanded. Racetrack has neither limits nor brake.
+    `env.unwrapped.action_masks()` returns those that are possible from the estimated pose. In Tolling the car drives by
+    itself, and the actions are 0 defer, 1 charge, 2 do not charge. Steering is limited to a lateral acceleration of 4
+    m/s2 and, in LaneKeeping, CarFollowing and UrbanCanyon, to a rate of 0.7 rad/s. A brake holds the car at standstill
+    while no acceleration is commanded. Racetrack has neither limits nor brake.
 
     ## Observation Space
     A `Dict` of float32 vectors, each entry divided by its scale and clipped to [-1, 1] or [0, 1]
@@ -91,6 +93,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `comfort` | 0.1 | `-min(1, (a / 2 m/s2)^2) dt` |
     | `collision` | -5 | 1 in the step of a crash |
     | `base` | 0 | the reward of the wrapped world of highway-env |
+    | `toll` | 1 | 1 for a geo-object that is settled with the right claim; only in Tolling |
 
     ## Costs
     Costs are not part of the reward. `info["cost"]` is their weighted sum in a step; an episode's sum does not depend
@@ -111,6 +114,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_speeding` | 0 | `max(0, (v cos(psi) - 3 km/h) / v_limit - 1) dt`, at most dt; v_limit: also of a closure |
     | `cost_route` | 0 | 1 in the step in which the car comes onto a road that does not lead to the goal of the world |
     | `cost_gore` | 0 | dt while the body is over a line of its lane within 50 m (`cost.gore_m`) of a fork |
+    | `cost_overcharge` | 0 | 1 where a geo-object is charged that the car has not driven; only in Tolling |
+    | `cost_undercharge` | 0 | 1 where one is not charged that the car has driven |
 
     - `cost_lane`, `cost_lane_integrity`: during a commanded lane change, and where lanes meet or fork, both lanes
       count. With `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0. The least v is
@@ -137,7 +142,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     `cost_limit` is the limit of an episode's cost for constrained learning; it is not enforced. `cost_limits` adds
     limits of parts of that cost, with the weights above (none by default): `lane` (`cost_lane`,
     `cost_lane_integrity`), `headway`, `conflict`, `alert`, `hmi`, `blocking`, `guidance` (`cost_speeding`,
-    `cost_route`, `cost_gore`).
+    `cost_route`, `cost_gore`), `overcharge` and `undercharge`.
 
     A crash or an end off the road exceeds every `cost_limit`, but can cost less than a careless drive to the end
     (UrbanCanyon: 230 at once, `nominal` 221 or 355): without a limit, costs may teach to end early.
@@ -174,7 +179,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost` and the causes above | weighted sum; unweighted causes |
     | `lost`, `lost_now` | on a road that does not lead to the goal of the world; since this step |
     | `wrong_road` | with a [lane sensor](#lane-sensor): the believed road is another one, beside the true car |
-    | `costs` | the unweighted causes as one vector (13,), float64, in the order of `lanebound.envs.costs.CAUSES` |
+    | `costs` | the unweighted causes as one vector (15,), float64, in the order of `lanebound.envs.costs.CAUSES` |
     | `rewards` | unweighted terms |
     | `fault_...` | with `faults: one`: [the fault of the episode](#one-fault-in-each-episode) |
 
@@ -306,6 +311,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         inner = self.world.action_type
         if not isinstance(inner, DiscreteMetaAction):
             raise InputError("action_masks needs meta-actions, got continuous ones: there is nothing to mask")
+        if isinstance(inner, ClaimAction):
+            claims: NDArray[np.bool_] = sensible_claims(self._loop().episodes.ego)[0]
+            return claims
         inner.controlled_vehicle = self._loop().believed
         try:
             allowed = inner.get_available_actions()

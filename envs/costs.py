@@ -25,6 +25,8 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "hmi": ("cost_hmi",),
     "blocking": ("cost_blocking",),
     "guidance": ("cost_speeding", "cost_route", "cost_gore"),
+    "overcharge": ("cost_overcharge",),
+    "undercharge": ("cost_undercharge",),
 }
 """Groups of causes whose weighted sum over an episode may have a limit of its own. A crash, an end off the road and the
 warnings of the context monitor are in none: they count in the whole cost alone."""
@@ -65,6 +67,8 @@ class CostConfig(Config):
         0.0, ge=0, description="weight of cost_route [-]; only worlds with a goal of a network have it"
     )
     gore: float = Field(0.0, ge=0, description="weight of cost_gore [1/s]; 0: to change late costs nothing")
+    overcharge: float = Field(0.0, ge=0, description="weight of cost_overcharge [-]; only worlds with tolls have it")
+    undercharge: float = Field(0.0, ge=0, description="weight of cost_undercharge [-]; likewise")
     gore_m: float = Field(
         50.0, gt=0, le=500, description="before and behind a fork, where a change of lanes is late; chosen"
     )
@@ -133,6 +137,8 @@ class CostLimits(Config):
     guidance: float | None = Field(
         None, ge=0, description="of cost_speeding, cost_route and cost_gore; None: none of its own"
     )
+    overcharge: float | None = Field(None, ge=0, description="of cost_overcharge; None: none of its own")
+    undercharge: float | None = Field(None, ge=0, description="of cost_undercharge; None: none of its own")
 
     @property
     def given(self) -> dict[str, float]:

@@ -37,6 +37,8 @@ INFO: dict[str, str] = {
     "cost_speeding": "time above the limit of the true lane, or of a closure beside it, times the share above [s]",
     "cost_route": "1 in the step in which the true car comes onto a road that does not lead to the goal [-]",
     "cost_gore": "time in which the true body is over a line near a fork; 0 if it weighs 0 [s]",
+    "cost_overcharge": "1 where a geo-object is settled that is charged and that the true car has not driven [-]",
+    "cost_undercharge": "1 where one is settled that is not charged and that it has driven [-]",
     "pl_at_m": "protection level along the track; inf without one [m]",
     "pl_ct_m": "protection level across the track; inf without one [m]",
     "al_at_m": "alert limit along the track [m]",

@@ -21,3 +21,4 @@ class RewardConfig(Config):
     comfort: float = Field(0.1, ge=0, description="weight of gentle acceleration [-]")
     collision: float = Field(-5.0, le=0, description="of a crash, once [-]")
     base: float = Field(0.0, description="weight of the wrapped world's own reward [-]")
+    toll: float = Field(1.0, ge=0, description="of each geo-object with a right claim; only Tolling has some [-]")

@@ -43,6 +43,8 @@ SUITES = (
     "work_zone",
     "remote_braking",
     "occluded_crossing",
+    "guidance",
+    "tolling",
 )
 
 ARROWS = {"higher": "↑", "lower": "↓", None: ""}

@@ -121,6 +121,10 @@ class IntegrityAware(Rss):
             return 0.0
         return np.minimum(self.reader.rows(observation, "pl_at"), self.config.cross_extra_m)
 
+    def link_margin(self, observation: Observation) -> Array | float:
+        """The level across the track."""
+        return self.reader.value(observation, "integrity.pl_ct")
+
     def free_speed(self, observation: Observation) -> Array:
         """Speed that route, levels, predicted sky and alert allow."""
         c, reader = self.config, self.reader

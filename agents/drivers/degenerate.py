@@ -36,6 +36,7 @@ class ConstantConfig(CruiseConfig):
         description="of the speed limit, or of the largest target speed if that is less: 0 stands, above 1 is full "
         "throttle [-]",
     )
+    claim: int = Field(0, ge=0, le=2, description="where charges are decided: 0 defer, 1 charge, 2 do not charge")
 
 
 class Constant(Plan):
@@ -62,6 +63,10 @@ class Constant(Plan):
         wanted = self.config.share * np.minimum(fastest, self._levels[-1])
         middles = 0.5 * (self._levels[:-1] + self._levels[1:])
         return np.asarray(self._levels[np.searchsorted(middles, wanted * (1.0 + 1e-9), side="right")])
+
+    def claim(self, observation: Observation) -> NDArray[np.int64]:
+        """The same of every geo-object."""
+        return np.full(self.reader.value(observation, "ego.speed").shape, self.config.claim)
 
     def acceleration(self, observation: Observation) -> Array:
         """To that share; at 0 it brakes for good."""

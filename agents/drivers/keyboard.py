@@ -18,6 +18,7 @@ PEDAL = 0.5  # share of the range that an arrow commands
 STEER_MAX = 0.35  # of the range, reached after STEER_S; small, as the wheel of a car is
 STEER_S = 0.6
 MOVES = {"LEFT": "LANE_LEFT", "RIGHT": "LANE_RIGHT", "UP": "FASTER", "DOWN": "SLOWER"}
+CLAIMS = {"UP": "CHARGE", "DOWN": "SPARE"}  # where charges are decided
 HELP = "arrows: up and down for speed, left and right to steer or change lane; R: again; Q or Escape: leave"
 
 
@@ -68,7 +69,9 @@ class KeyboardDriver(StatelessDriver):
 
     def _chosen(self) -> int:
         while self._pressed:
-            label = MOVES.get(self._pressed.pop(0).name)
+            key = self._pressed.pop(0).name
+            label = MOVES.get(key)
+            label = label if label in self._codes else CLAIMS.get(key)
             if label in self._codes:
                 return int(self._codes[label])
         return int(self._codes["IDLE"])

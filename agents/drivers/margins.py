@@ -36,6 +36,9 @@ class CautiousConfig(CruiseConfig):
     gap_m: float = Field(3.0, ge=0, description="taken off every gap; PL_AT of two cars a few seconds into an outage")
     speed_share: float = Field(0.8, gt=0, le=1, description="share of the speed that the route allows [-]; chosen")
     lane_m: float = Field(0.3, ge=0, description="the own lane counts as wider by this on each side; chosen")
+    link_m: float = Field(
+        10.0, gt=0, description="across, from which a link is excluded, where charges are decided; chosen"
+    )
 
 
 class TunedCaution(Config):
@@ -100,6 +103,10 @@ class Cautious(Nominal):
     def own_margin(self, observation: Observation) -> Array | float:
         """The constant margin."""
         return self.config.gap_m
+
+    def link_margin(self, observation: Observation) -> Array | float:
+        """The constant margin."""
+        return self.config.link_m
 
     def free_speed(self, observation: Observation) -> Array:
         """A share of the speed of the route."""

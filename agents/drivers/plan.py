@@ -13,6 +13,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation, Reader, StatelessDriver
+from lanebound.agents.drivers.charging import claim
 from lanebound.agents.drivers.lateral import PursuitSteering, Steering
 from lanebound.agents.drivers.plans import (
     CruiseConfig,
@@ -24,9 +25,10 @@ from lanebound.agents.drivers.plans import (
 )
 from lanebound.agents.drivers.shares import share_of
 from lanebound.envs.core import DrivingEnv
+from lanebound.envs.worlds.tolling import ClaimAction
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["ContinuousDriver", "MetaDriver", "Plan", "carry_out"]
+__all__ = ["ClaimDriver", "ContinuousDriver", "MetaDriver", "Plan", "carry_out"]
 
 Array = NDArray[np.float64]
 LEVEL_SHARE = 0.75  # of a level of speed in each decision, with which a car slows by meta-actions; by 2 m/s: 3 m/s2
@@ -89,6 +91,14 @@ class Plan:
         headway = np.maximum(s - c.standstill_m, 0.0) / c.time_gap_s
         return np.minimum(self.wanted_speed(observation), np.minimum(safe_speed(s, lead, c), headway))
 
+    def link_margin(self, observation: Observation) -> Array | float:
+        """Distance across from which a link is excluded that is not the nearest one [m]."""
+        return 0.0
+
+    def claim(self, observation: Observation) -> NDArray[np.int64]:
+        """Claim about the open geo-object: see :func:`~.charging.claim`."""
+        return claim(self.reader, observation, self.link_margin(observation))
+
     def change(self, observation: Observation) -> NDArray[np.int64]:
         """Lane to change to: -1 left, 0 none, 1 right."""
         return np.zeros(self.reader.value(observation, "ego.speed").shape, dtype=np.int64)
@@ -96,6 +106,8 @@ class Plan:
 
 def carry_out(env: DrivingEnv, plan: Plan) -> ContinuousDriver | MetaDriver:
     """The driver of a plan for the actions of an environment."""
+    if isinstance(env.world.action_type, ClaimAction):
+        return ClaimDriver(env, plan)
     return ContinuousDriver(env, plan) if isinstance(env.action_space, spaces.Box) else MetaDriver(env, plan)
 
 
@@ -158,3 +170,14 @@ class MetaDriver(StatelessDriver):
         room = np.maximum(s - self.plan.config.standstill_m, 0.0)
         delay = self._slows_mps2 * self._slows_s
         return np.where(lead < STANDS_MPS, np.sqrt(delay**2 + 2.0 * self._slows_mps2 * room) - delay, np.inf)
+
+
+class ClaimDriver(MetaDriver):
+    """Decides what is charged; the car drives by itself."""
+
+    def __init__(self, env: DrivingEnv, plan: Plan) -> None:
+        self.plan = plan
+
+    def act(self, observation: Observation) -> NDArray[np.int64]:
+        """The code of a claim."""
+        return self.plan.claim(observation)

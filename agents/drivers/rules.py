@@ -55,6 +55,7 @@ from lanebound.agents.drivers.margins import RssConfig, rss_speed
 from lanebound.agents.drivers.plans import EGO_LENGTH_M, FREE_M, closure_gap
 from lanebound.agents.drivers.shares import share_of, value_of
 from lanebound.envs.core import DrivingEnv
+from lanebound.envs.worlds.tolling import ClaimAction
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 
@@ -135,6 +136,8 @@ class RuleBook:
         self.rules = r = SafetyRules() if rules is None else rules
         self.reader, self._dt_s, c = Reader(env.config.observation), env.dt_s, env.config.cost
         self._inner = inner = env.world.action_type
+        if isinstance(inner, ClaimAction):
+            raise InputError("action must move the car under rules of driving, got claims: choose another id")
         self._meta = not isinstance(env.action_space, spaces.Box)
         self._steers = not self._meta and inner.lateral and (r.lane or r.alert or r.gap)
         self._slows = self._meta or inner.longitudinal

@@ -60,7 +60,7 @@ class DecisionsConfig(Config):
 
     envs: tuple[str, ...] = Field(
         ("LaneKeeping", "CarFollowing", "Highway", "Merge", "Roundabout", "Intersection", "Racetrack", "UrbanCanyon",
-         "WorkZone", "Guidance"),
+         "WorkZone", "Guidance", "Tolling"),
         min_length=1, description="ids with an engine, ours without lanebound/",
     )  # fmt: skip
     navigators: Mapping[str, Any] = Field(

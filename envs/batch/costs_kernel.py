@@ -36,6 +36,9 @@ and bound of the camera: the car is kept in its lane by the camera, so a level o
 say that it may leave its lane, but that it may be on another road. That has costs of its own: these three, and the
 alert.
 
+``cost_overcharge``  1 where a geo-object is settled that is charged and that the TRUE car has not driven, and
+``cost_undercharge``  where one is settled that is not charged and that it has (:mod:`.toll_kernel`).
+
 Under an alert the permitted speed is a share of the limit, or it follows from the level as shown at the last decision
 (:func:`.budget_kernel.permitted_mps`), or with a lane sensor it is the least limit of the roads that levels leave
 possible, and the tolerance of 3 km/h.
@@ -280,7 +283,7 @@ def _changes_late(car, lanes, gore_m):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def price(b, body, sc, cars, seen, count, lanes, rules, dt, along, limit, flow, out):  # type: ignore[no-untyped-def]
-    """Fill the costs of a step by cause, and their weighted sum; ``out`` holds the verdict already.
+    """Fill the costs of a step by cause, and their weighted sum; ``out`` holds the verdict and the costs of tolls.
 
     body: the belief, or the pose of a lane sensor; along: speed of the true car along its lane; limit, flow: the limit
     there, and the speed of the flow [m/s].
@@ -321,4 +324,5 @@ def price(b, body, sc, cars, seen, count, lanes, rules, dt, along, limit, flow, 
     out.cost_route = out.lost_now
     out.cost_gore = dt if c.gore > 0.0 and _changes_late(cars[0], lanes, c.gore_m) else 0.0
     total += c.blocking * out.cost_blocking + c.speeding * out.cost_speeding
-    out.cost = total + (c.route * out.cost_route + c.gore * out.cost_gore)
+    total += c.route * out.cost_route + c.gore * out.cost_gore
+    out.cost = total + (c.overcharge * out.cost_overcharge + c.undercharge * out.cost_undercharge)

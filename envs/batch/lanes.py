@@ -64,14 +64,16 @@ def lane_table(network: RoadNetwork) -> LaneTable:
     """The table of a network; networks of equal lanes share one."""
     roads = [(a, b, row) for a, ends in network.graph.items() for b, row in ends.items()]
     parts = [_content(lane) for _, _, row in roads for lane in row]
-    goal = getattr(network, "goal", None)
-    key: Any = (tuple((a, b, len(row)) for a, b, row in roads), tuple(parts), goal)
+    goal, objects = getattr(network, "goal", None), getattr(network, "geo_objects", {})
+    key: Any = (tuple((a, b, len(row)) for a, b, row in roads), tuple(parts), goal, tuple(objects.items()))
     known = None not in parts
     table = _tables.get(key) if known else None
     if table is None:
         table = _build(roads)
         if goal is not None:
             _show_way(table, goal)
+        for (a, b), k in objects.items():
+            table.lanes.table["geo_object"][[table.row[a, b, i] for i in range(len(network.graph[a][b]))]] = k
         if known:
             _tables[key] = table
             if len(_tables) > REMEMBERED:
@@ -110,7 +112,7 @@ def _build(roads: list[tuple[str, str, Row]]) -> LaneTable:
             entry["joint_first"], entry["joint_last"] = joints
             entry["joint_onward"] = joints[0] + len(leading)
             _fill(entry, lane, parts)
-    table["onward"] = _onward(roads, first)
+    table["onward"], table["geo_object"] = _onward(roads, first), lk.NONE
     table["crossed"] = _crossed([lane for _, _, row in roads for lane in row], table["road"])
     return LaneTable(Lanes(table, *parts.arrays), index, {lane: n for n, lane in enumerate(index)})
 

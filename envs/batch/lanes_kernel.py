@@ -51,6 +51,7 @@ LANE = record(
         "lanes to change to the right, negative to the left, to reach the goal of the network; 0 without",
     ),
     lost=("i8", "1 where no lane of the road leads to that goal"),
+    geo_object=("i8", "number of the geo-object of which the road is a link, NONE for none"),
     side=("i8", "number on its road, 0 leftmost"),
     road=("i8", "row of the leftmost lane of the road, which names the road"),
     count=("i8", "number of lanes of the road"),

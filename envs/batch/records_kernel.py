@@ -9,18 +9,20 @@ from lanebound.integrity.core.records import record
 
 __all__ = [
     "BELIEF", "BUDGET", "BY_LEVEL", "BY_ROADS", "CAMERA", "CAR", "CAUSES", "CLOSURE", "COMMAND", "COST_FIGURES", "EGO",
-    "FACTS", "GIVEN", "LANE_SENSOR", "OUTCOME", "PERCEIVED", "REWARD_WEIGHTS", "RULES", "SCORE", "SENSED", "TERMS",
-    "TRACK", "VIEW",
+    "FACTS", "GIVEN", "LANE_SENSOR", "MOST_OBJECTS", "OUTCOME", "PERCEIVED", "REWARD_WEIGHTS", "RULES", "SCORE",
+    "SENSED", "TERMS", "TOLL", "TRACK", "VIEW",
 ]  # fmt: skip
 
+MOST_OBJECTS = 8  # geo-objects of an episode
 GIVEN, SENSED = 0, 1  # sources of the ego's position
 BY_LEVEL, BY_ROADS = 1, 2  # where the speed permitted under an alert follows from
 
-TERMS = ("progress", "lane_centre", "comfort", "collision", "base")
+TERMS = ("progress", "lane_centre", "comfort", "collision", "base", "toll")
 """Terms of the reward."""
 CAUSES = (
     "cost_collision", "cost_off_road", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_conflict",
     "cost_alert", "cost_hmi", "cost_context", "cost_blocking", "cost_speeding", "cost_route", "cost_gore",
+    "cost_overcharge", "cost_undercharge",
 )  # fmt: skip
 """Costs by cause."""
 
@@ -140,6 +142,7 @@ COMMAND = record(
     steering_rad="commanded directly",
     wheel_rad="angle of the road wheels that the actuators have reached",
     effort="what the reward of the wrapped world takes of the last action",
+    claim=("i8", "claim about the open geo-object, DEFER without one"),
 )
 
 SCORE = record(
@@ -236,6 +239,26 @@ VIEW = record(
     alert_age_s="how long the alert has been on",
     reason="code of AlertReason",
     permitted_mps="speed permitted where it follows from the level, inf for no bound; always for an oracle",
+    toll_open="1 while a geo-object may be decided",
+    toll_inside="1 while the believed place is on one of its links",
+    toll_m="across from the position to its tolled link, less the bound of the camera; inf without an open object",
+    toll_free_m="likewise to the nearest one of its other links",
+    toll_share="of the positions at decisions on its links so far, those nearest to the tolled one",
+    toll_passed_s="since the links were left",
+)
+TOLL = record(
+    objects=("i8", "geo-objects of the episode, 0 for none"),
+    tolled=("i8", (MOST_OBJECTS,), "road that is tolled of each"),
+    driven=("i8", (MOST_OBJECTS,), "road of each that the true car has driven, NONE before"),
+    open=("i8", "geo-object that is open, NONE for none"),
+    next=("i8", "the first that has not been opened"),
+    inside=("i8", "1 while the believed place is on a link of the open one"),
+    claims=("i8", (MOST_OBJECTS,), "about each, DEFER without one"),
+    settled=("i8", "the first that has not been settled"),
+    positions=("i8", "observed on its links"),
+    near=("i8", "of these, nearest to the tolled link"),
+    wrong=("i8", "1 after an object was settled with a wrong charge, or wrongly without one"),
+    passed_s="since the believed place left its links",
 )
 CLOSURE = record(
     there=("i8", "1 where a lane closes in the episode"),
@@ -262,6 +285,7 @@ EGO = record(
     score=(SCORE, "what scores remember"),
     facts=(FACTS, "what the wrapped world says of the step"),
     closure=(CLOSURE, "a lane that closes, and its message"),
+    toll=(TOLL, "geo-objects and what is claimed of them"),
     outcome=(OUTCOME, "what the step has come to"),
     vehicles=("i8", "vehicles of the environment, the ego included: the first places of its row of cars"),
     route=("i8", "row of the first step that is left of the planned route, 0 for none"),
@@ -304,6 +328,8 @@ COST_FIGURES = record(
     speeding="weight of cost_speeding [1/s]",
     route="weight of cost_route [-]",
     gore="weight of cost_gore [1/s]",
+    overcharge="weight of cost_overcharge [-]",
+    undercharge="weight of cost_undercharge [-]",
     gore_m="before and after a fork, where a change of lanes counts as late",
     standing_speed_mps="speed that time beyond the lane counts for at least",
     blocking_share="share of the speed of the flow below which a car blocks without an alert",

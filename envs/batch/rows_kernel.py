@@ -20,6 +20,7 @@ from lanebound.envs.batch.perception_kernel import claim, hear, look, see_truth,
 from lanebound.envs.batch.records_kernel import BY_LEVEL, BY_ROADS, GIVEN
 from lanebound.envs.batch.score_kernel import count_epoch, score
 from lanebound.envs.batch.sky_ahead_kernel import fill_sky, predict
+from lanebound.envs.batch.toll_kernel import follow_toll
 from lanebound.envs.batch.view_kernel import ORACLE, derive, fill_frame, true_view, words_of
 from lanebound.integrity.core.accel import jit
 
@@ -243,7 +244,10 @@ def _score(ego, cars, picture, seen, path_of, lanes, routes, rules, start):  # t
             b, b.speed_mps, ego.score, cars[0], seen, picture.seen, lanes, routes, rules
         )
         trust_anew(b, ego.track, rules)
+    follow_toll(ego, cars[0], lanes, rules, start)
     score(b, body, ego.score, cars, seen, picture.seen, lanes, ego.facts, ego.closure, rules, start, ego.outcome)
+    if ego.toll.wrong != 0:
+        ego.outcome.is_success = 0.0
     if rules.permits == BY_LEVEL:  # after the score: a step is judged by the speed that was shown before it
         b.permitted_mps = permitted_mps(b, ego.score, cars[0], seen, picture.seen, lanes, routes, rules)
     elif rules.permits == BY_ROADS:

@@ -6,6 +6,7 @@ Terms of the reward, of the TRUE car; v speed, psi heading less the lane's, d of
 ``lane_centre``  ``progress / (1 + (d / 0.5 m)^2)``, 0 at least: nothing for standing in the middle.
 ``comfort``  ``-min(1, (|a| / 2 m/s2)^2) dt``, a the acceleration along and across.
 ``collision``  1 in the step of a crash. ``base``  the wrapped world's own reward.
+``toll``  1 where a geo-object is settled with a right claim (:mod:`.toll_kernel`).
 
 An episode is a success if at its end the TRUE car is unharmed, on the road, in the direction of its lane, at the goal
 of a world that has one, and in time: its way is at least a share of the way that limit, bends and the vehicle ahead
@@ -135,7 +136,7 @@ def score(b, body, sc, cars, seen, count, lanes, facts, closure, rules, start, o
     out.collision = out.crashed_now
     out.base = facts.base
     total = w.progress * out.progress + w.lane_centre * out.lane_centre + w.comfort * out.comfort
-    out.reward = total + w.collision * out.collision + w.base * out.base
+    out.reward = total + w.collision * out.collision + w.base * out.base + w.toll * out.toll
     _repeat(b, speed, rules, out)
 
 

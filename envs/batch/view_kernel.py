@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.lanes_kernel import local, width_at
 from lanebound.envs.batch.route_map_kernel import path_at, project
+from lanebound.envs.batch.toll_kernel import show_toll
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import Records, record
@@ -129,6 +130,7 @@ def derive(ego, seen, count, lanes, routes, rules, e, views):  # type: ignore[no
     """Fill the view, the preview and the vehicles of environment e from what is shown of its ego and of the traffic."""
     b, shown = ego.shown, rules.shown
     _derive_ego(b, lanes, routes, ego.own)
+    show_toll(ego, lanes, ego.own)
     _derive_levels(b, rules, shown, ego.score.observed, views.trail[e], ego.own)
     cosine, sine = math.cos(b.heading_rad), math.sin(b.heading_rad)
     for n in range(views.distances.shape[0]):

@@ -18,6 +18,7 @@ from lanebound.envs.ids.registry import (
     withdraw_id,
 )
 from lanebound.envs.ids.streets import CarFollowing, LaneKeeping, UrbanCanyon
+from lanebound.envs.ids.tolling import Tolling
 from lanebound.envs.ids.work_zone import WorkZone
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "Preset",
     "Racetrack",
     "Roundabout",
+    "Tolling",
     "UrbanCanyon",
     "WorkZone",
     "enter",

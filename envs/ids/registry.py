@@ -12,6 +12,7 @@ from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, 
 from lanebound.envs.ids.preset import Preset, has_engine, id_of
 from lanebound.envs.ids.priced import PRICED
 from lanebound.envs.ids.streets import CarFollowing, LaneKeeping, UrbanCanyon
+from lanebound.envs.ids.tolling import Tolling
 from lanebound.envs.ids.work_zone import WorkZone
 from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import InputError
@@ -41,7 +42,7 @@ CLASSES: tuple[type[Preset], ...] = (
     Racetrack,
     UrbanCanyon,
 )
-MORE: tuple[type[Preset], ...] = (*PRICED, WorkZone, Guidance)
+MORE: tuple[type[Preset], ...] = (*PRICED, WorkZone, Guidance, Tolling)
 """Classes of ids of ours that suites, pages of results and shipped policies do not drive."""
 
 IDS: dict[str, dict[str, Any]] = {}

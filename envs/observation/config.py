@@ -49,6 +49,7 @@ class ObservationConfig(Config):
     closure: bool = Field(
         False, description="a lane that closes has entries, once its message has arrived; for WorkZoneWorld"
     )
+    tolls: bool = Field(False, description="the open geo-object has entries; for TollingWorld")
     roads: bool = Field(
         False,
         description="the roads nearby and the way to the goal have entries; an environment sets it for lane_sensor",

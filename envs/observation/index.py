@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from lanebound.envs.batch import view_kernel as vk
 from lanebound.envs.batch.ego_kernel import STEERING_MOST_RAD
 from lanebound.envs.batch.records_kernel import BELIEF, EGO, VIEW
+from lanebound.envs.batch.toll_kernel import WINDOW_S
 from lanebound.envs.observation.config import ObservationConfig
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest, remove_registered, require_new
@@ -250,6 +251,7 @@ def _road(c: ObservationConfig) -> list[Entry]:
                       "belief.other_limit_mps")] if c.roads else []),
     ]  # fmt: skip
     out += _closure(c, g) if c.closure else []
+    out += _tolls(c, g) if c.tolls else []
     for n, d in enumerate(c.preview_m):
         where = f"of the route {d:g} m ahead"
         out += [
@@ -286,6 +288,21 @@ def _closure(c: ObservationConfig, g: _Group) -> list[Entry]:
           for name, side in zip(LANES, (-1, 0, 1), strict=True)),
         g.positive("closure_limit", "m/s", c.speed_max_mps, "speed limit announced beside the closure",
                    "belief.closure_limit_mps"),
+    ]  # fmt: skip
+
+
+def _tolls(c: ObservationConfig, g: _Group) -> list[Entry]:
+    """The geo-object that is open: see :mod:`lanebound.envs.batch.toll_kernel`."""
+    far, links = c.other_road_max_m, "links of the geo-object"
+    return [
+        g.flag("toll_open", "a geo-object is open and not decided", "view.toll_open"),
+        g.flag("toll_inside", f"the believed place is on one of the {links}", "view.toll_inside"),
+        g.positive("toll_distance", "m", far, "across from the position to the lane of the tolled link, less the bound "
+                   "of the camera; after it is passed as before; 1 without an open object", "view.toll_m"),
+        g.positive("toll_free_distance", "m", far, f"likewise to the nearest of the other {links}", "view.toll_free_m"),
+        g.positive("toll_share", "", 1.0, f"of the positions on the {links} so far, nearest to the tolled one",
+                   "view.toll_share"),
+        g.positive("toll_passed", "s", WINDOW_S, f"since the {links} were left; it closes at 1", "view.toll_passed_s"),
     ]  # fmt: skip
 
 

@@ -33,6 +33,7 @@ from lanebound.envs.vector.turnover import Turnover
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
 from lanebound.envs.worlds.closures import announce, stand_in_lane
 from lanebound.envs.worlds.followers import seat_followers
+from lanebound.envs.worlds.tolling import ClaimAction, levy, sensible_claims
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT
@@ -44,7 +45,8 @@ Rows = NDArray[np.int64]
 VEHICLE_FRAME_US = 0.06  # of one thread, measured
 PREPARED = 8  # episodes at least that are prepared together; up to so many take hardly longer than one
 NO_CODES = np.zeros(0, dtype=np.int64)
-META_CODES = {"LANE_LEFT": LEFT, "IDLE": IDLE, "LANE_RIGHT": RIGHT, "FASTER": FASTER, "SLOWER": SLOWER}
+META_CODES = {"LANE_LEFT": LEFT, "IDLE": IDLE, "LANE_RIGHT": RIGHT, "FASTER": FASTER, "SLOWER": SLOWER,
+              "CHARGE": IDLE, "SPARE": IDLE}  # fmt: skip
 
 
 class Stage:
@@ -305,6 +307,7 @@ class Engine:
             if (closure := getattr(self.single.world, "closure", None)) is not None:  # of the episode drawn just now
                 stand_in_lane(traffic.roads.objects[e], table, network, closure)
                 announce(ego["closure"][e], table, network, closure, config.perception.v2v, seed)
+            levy(ego["toll"], e, table, getattr(self.single.world, "tolled", ()))
         states = wander.states(seeds) if wander.wanders else None
         seat_rows(rows, cars, drivers, ego, traffic.wander, states, ZIGGURAT, table.lanes, traffic.roads.routes)
 
@@ -315,6 +318,8 @@ class Engine:
             codes = self.codes[actions]
         else:
             self._take_up(actions)
+        if isinstance(self.single.world.action_type, ClaimAction):
+            e.ego["command"]["claim"] = actions
         if self.support.effort is not None:
             e.ego["command"]["effort"] = self.support.effort(self.single.world, actions)
         frames = self.frames if e.epoch_steps is None else e.epoch_steps
@@ -357,7 +362,9 @@ class Engine:
                 column += 1
 
     def sensible(self) -> NDArray[np.bool_]:
-        """Which of left, idle, right, faster and slower make sense for each ego by its belief, (N, 5)."""
+        """Which meta-actions make sense for each ego by its belief, (N, A)."""
+        if isinstance(self.single.world.action_type, ClaimAction):
+            return sensible_claims(self.episodes.ego)
         b, wanted = self.episodes.ego["belief"], self.speeds
         own = self.episodes.table.lanes.table[b["lane"]]
         s, width, aside = b["longitudinal_m"], own["width_m"], b["lateral_m"]
@@ -367,7 +374,7 @@ class Engine:
         free = self.episodes.table.lanes.table["forbidden"] == 0
         left, right = left & free[b["lane"] - 1], right & free[np.minimum(b["lane"] + 1, free.size - 1)]
         speed, every = b["target_speed_mps"], np.ones_like(there)
-        return np.stack([left & there, every, right & there, speed < wanted[-1], speed > wanted[0]], -1)
+        return np.stack([left & there, every, right & there, speed < wanted[-1], speed > wanted[0]], -1)[:, self.codes]
 
     # Starts
 

@@ -187,7 +187,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self._require_begun()
         if not self.engine.codes.size:
             raise InputError("action_masks needs meta-actions, got continuous ones: there is nothing to mask")
-        return self.engine.sensible()[:, self.engine.codes]
+        return self.engine.sensible()
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the worker processes, if there are any."""

@@ -15,6 +15,7 @@ from lanebound.envs.worlds.kinds import (
 )
 from lanebound.envs.worlds.straights import exit_support, turn_support, two_way_support
 from lanebound.envs.worlds.streets import CarFollowingWorld, LaneKeepingWorld, UrbanCanyonWorld
+from lanebound.envs.worlds.tolling import TollingWorld
 from lanebound.envs.worlds.work_zone import WorkZoneWorld
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "GuidanceWorld",
     "LaneKeepingWorld",
     "Support",
+    "TollingWorld",
     "UrbanCanyonWorld",
     "WorkZoneWorld",
     "WorldKind",
@@ -37,6 +39,7 @@ for _kind in (
     WorldKind("UrbanCanyonWorld", UrbanCanyonWorld, UrbanCanyonWorld.support),
     WorldKind("WorkZoneWorld", WorkZoneWorld, WorkZoneWorld.support),
     WorldKind("GuidanceWorld", GuidanceWorld, GuidanceWorld.support, arrived=has_taken_exit),
+    WorldKind("TollingWorld", TollingWorld, TollingWorld.support),
     WorldKind("highway-v0", None, motorway_support),
     WorldKind("highway-fast-v0", None, motorway_support),
     WorldKind("exit-v0", None, exit_support),

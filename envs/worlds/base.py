@@ -71,7 +71,8 @@ class World(AbstractEnv):  # type: ignore[misc]
     is the class of the other vehicles, ``TRAFFIC`` the traffic of the vector engine that moves them (``course``:
     LeadVehicle, ``city``: CityDriver, ``network``: IDMVehicle), ``most_vehicles`` their largest number with the ego,
     ``ENDS_M`` the distance from the end of the road at which an episode ends (None for roads without an end).
-    ``closure`` is the lane that closes in the episode, if any (``draw_closure``).
+    ``closure`` is the lane that closes in the episode, if any (``draw_closure``), ``tolled`` the tolled road of each
+    geo-object of the network (``draw_tolls``).
 
     Action
         As in highway-env, set by ``config["action"]``: ``ContinuousAction`` (acceleration within 6 m/s2, steering
@@ -91,6 +92,7 @@ class World(AbstractEnv):  # type: ignore[misc]
     OTHERS: ClassVar[type[Vehicle]] = LeadVehicle
     TRAFFIC: ClassVar[str] = "course"
     closure: Closure | None = None
+    tolled: tuple[tuple[str, str], ...] = ()
     ENDS_M: ClassVar[float | None] = 20.0
 
     @classmethod
@@ -134,6 +136,10 @@ class World(AbstractEnv):  # type: ignore[misc]
         """Draw the lane that closes in an episode, before its seats; all closures of a world are of one length."""
         return None
 
+    def draw_tolls(self, rng: np.random.Generator) -> tuple[tuple[str, str], ...]:
+        """Draw the tolled road of each geo-object of an episode, before its seats."""
+        return ()
+
     @classmethod
     def most_vehicles(cls, config: dict[str, Any]) -> int:
         """Largest number of vehicles in an episode, including the ego."""
@@ -158,7 +164,7 @@ class World(AbstractEnv):  # type: ignore[misc]
             record_history=self.config["show_trajectories"],
             neighbour_vehicles_connected_lanes=self.config["neighbour_vehicles_connected_lanes"],
         )
-        self.closure = self.draw_closure(self.np_random)
+        self.closure, self.tolled = self.draw_closure(self.np_random), self.draw_tolls(self.np_random)
         for place in () if self.closure is None else barriers(self.road.network, self.closure):
             self.road.objects.append(Obstacle(self.road, *place))
         self._populate()
@@ -306,7 +312,7 @@ def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
     network, delay = world.road.network, getattr(world.OTHERS, "LANE_CHANGE_DELAY", 1.0)
 
     def start(rng: np.random.Generator, cars: Records, drivers: Records, profile: Array) -> int:
-        world.closure = world.draw_closure(rng)
+        world.closure, world.tolled = world.draw_closure(rng), world.draw_tolls(rng)
         seats, speeds = drawn_seats(world, rng)
         if speeds is not None:
             profile[:] = speeds

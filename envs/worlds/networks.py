@@ -64,11 +64,12 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
     Attributes
     ----------
     goal : the road to which the ego is to drive, None for none
+    geo_objects : number of the geo-object, from 0, of which a road is a link; those of one object run beside each other
     """
 
     def __init__(self, goal: tuple[str, str] | None = None) -> None:
         super().__init__()
-        self.goal = goal
+        self.goal, self.geo_objects = goal, dict[tuple[str, str], int]()
         self._boxes: list[Box] = []
 
     def add_lane(self, _from: str, _to: str, lane: CurveLane) -> None:

@@ -161,7 +161,10 @@ def test_an_agent_that_fails_at_once_has_no_shares():
 def test_statistics_of_the_engine_give_the_metrics_of_rows():
     """Without the rows the way is the speed times the time."""
     driven = rows(50, speed_mps=10.0, true_y_m=0.0, cost_lane=[0.0] * 40 + [0.1] * 11, cost=0.5, crashed=True)
-    changes = {"cost": {"blocking": 1.0, "speeding": 1.0}, "cost_limits": dict.fromkeys(GROUPS, 1.0)}
+    changes = {
+        "cost": dict.fromkeys(("blocking", "speeding", "overcharge", "undercharge"), 1.0),
+        "cost_limits": dict.fromkeys(GROUPS, 1.0),
+    }
     config = make_config("lanebound/LaneKeeping-v0", changes)
     wanted = outcome_of(driven, 40.0, config=config)
     totals = EpisodeTotals(1)
