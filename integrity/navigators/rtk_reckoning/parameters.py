@@ -25,6 +25,7 @@ from lanebound.integrity.positioning.parameters import (
     watch_parameters,
 )
 from lanebound.integrity.positioning.rtk_kernel import SATELLITE
+from lanebound.integrity.positioning.wheel_scale_kernel import SCALE_RULES
 from lanebound.integrity.sky.systems import FIXABLE, WAVELENGTH_M
 
 if TYPE_CHECKING:
@@ -107,6 +108,16 @@ def _odometer_rules(o: DeadReckoningConfig) -> Records:
         tau=o.odometer_tau_s,
         bias=o.odometer_bias_mps,
         scale=o.odometer_scale,
+        estimated=o.windows > 0,
+        estimate=one_record(
+            SCALE_RULES,
+            length=o.estimate.length_m,
+            bend=np.deg2rad(o.estimate.bend_deg),
+            min_speed=o.estimate.min_speed_mps,
+            slip=o.estimate.slip_s2_per_m,
+            drift=o.estimate.drift_per_s,
+            change=o.estimate.change,
+        ),
         still_speed=o.standstill_speed_mps,
         heading_bias=np.deg2rad(o.heading_bias_deg),
         heading_drift=np.deg2rad(o.heading_drift_degps),
@@ -144,7 +155,7 @@ def epoch_tables(c: RtkReckoningConfig, system: NDArray[np.int64]) -> rk.Tables:
     return rk.Tables(
         satellite_table(system, wavelength, FIXABLE[system], c.risk),
         mode_priors(system, c.risk),
-        case_table(c.cases, c.risk, spent),
+        case_table(c.cases, c.risk, spent, p.dead_reckoning),
         *separation_thresholds(c, len(system)),
     )
 
@@ -164,11 +175,20 @@ def mode_priors(system: NDArray[np.int64], risk: RiskConfig) -> NDArray[np.float
     return np.concatenate([risk.priors()[0][system], risk.doppler_priors()[: int(system.max(initial=-1)) + 1]])
 
 
-def case_table(cases: tuple[PlCase, ...], risk: RiskConfig, spent: float) -> Records:
-    """The levels to report (R,) of CASE; ``spent`` is the risk of dead reckoning that is spent otherwise."""
+def case_table(
+    cases: tuple[PlCase, ...], risk: RiskConfig, spent: float, reckoning: DeadReckoningConfig | None = None
+) -> Records:
+    """The levels to report (R,) of CASE; ``spent`` is the risk of dead reckoning that is spent otherwise.
+
+    Where the odometer's scale is estimated, the risk of three false windows is spent too, ``(N p)^3 / 6``: p that the
+    wheels slip or one of two RTK positions is beyond its level.
+    """
     total = np.array([case.integrity_risk for case in cases])
     published = np.array([case.variant is Variant.PUBLISHED for case in cases])
-    budgets = risk.axis_budgets(total, spent)
+    left = total
+    if reckoning is not None and reckoning.windows > 0:
+        left = total - (reckoning.windows * (reckoning.estimate.false_window + 2.0 * total)) ** 3 / 6.0
+    budgets = risk.axis_budgets(left, spent)
     out = np.zeros(len(cases), rk.CASE)
     out["risk"], out["published"], out["budget"], out["k_published"] = total, published, budgets, upper_quantile(total)
     out["form"] = [_form(case) for case in cases]
