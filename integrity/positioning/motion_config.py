@@ -92,8 +92,12 @@ class OdometerWatchConfig(Config):
 class WheelScaleConfig(Config):
     """How the odometer's scale is estimated between RTK positions (:mod:`.wheel_scale_kernel`)."""
 
-    windows: int = Field(12, ge=4, le=32, description="windows that an estimate is made of [-]; chosen")
-    length_m: float = Field(50.0, ge=10, description="shortest window [m]; chosen, a third of a city block")
+    windows: int = Field(
+        24, ge=4, le=32, description="windows that an estimate is made of [-]; 720 m, chosen on streets of seed 17"
+    )
+    length_m: float = Field(
+        30.0, ge=10, description="shortest window [m]; chosen on them: known sooner than with 50 m, as exact at the end"
+    )
     bend_deg: float = Field(
         2.0, gt=0, le=10, description="largest range of headings in a window [deg]; shortens it by 0.06 % at most"
     )
@@ -107,7 +111,7 @@ class WheelScaleConfig(Config):
         3e-6,
         ge=0,
         description="bound of the change of the scale with time [1/s]; 0.3 % with a time constant of 1000 s, tyres "
-        "that warm up by 30 K; at most 1.9e-6 in two recorded drives",
+        "that warm up by 30 K; below 1e-6 in two recorded drives (tests/helpers/obd_scale.py)",
     )
     change: float = Field(
         0.002,
@@ -116,11 +120,11 @@ class WheelScaleConfig(Config):
         "3.7 mm each, and the rolling radius of 310 mm by a sixth of it",
     )
     false_window: float = Field(
-        1e-3,
+        5e-4,
         ge=0,
         lt=1,
         description="probability that wheels slip in a window beyond that bound [-]; 0.1 an hour (default fault "
-        "prior) for 36 s",
+        "prior) for 18 s",
     )
 
 

@@ -5,21 +5,24 @@ stops nor turns by more than ``bend``. With D the distance of both positions, d 
 one,
 
     D = (1 + s) d + e,   |e| <= K sqrt(2 sigma^2 tau T) + b,
-    b = PL_0 + PL_1 + b_v T + g max(push, pull) + d (1 - cos(bend))
+    b = PL_0 + PL_1 + b_v T + d (1 - cos(bend))
 
-K and both levels along the track are those of a protection level; sigma and tau are of the noise of the speed over the
-duration T, b_v is the bound of its constant error. ``push`` and ``pull`` are the sums of specific force times distance
-while the wheels drive and brake, g the slip per specific force. Of N windows the estimate is
+and slip. K and both levels along the track are those of a protection level; sigma and tau are of the noise of the speed
+over the duration T, b_v is the bound of its constant error. Of N windows the estimate is
 
-    s = sum (D_i - d_i) / sum d_i,   |error of s| <= (K sqrt(sum var_i) + sum b_i) / sum d_i
+    s = sum (D_i - d_i) / sum d_i
+    |error of s| <= (K sqrt(sum var_i) + sum b_i + g max(sum push_i, sum pull_i)) / sum d_i
+
+``push`` and ``pull`` are the sums of specific force times distance while the wheels drive and brake. Wheels that drive
+count too much and those that brake too little, by any share of the slip g per specific force.
 
 A window can be false: wheels slip, or an RTK position is beyond its level. Where any two of the windows may be false,
 the rest is true, and the error of s is at most the largest over all pairs of what the pair moves s by, and the bound of
-the rest (solution separation). The risk of three is spent. A window that contradicts all others beyond both bounds
-ends the estimate: the scale has changed, or the wheels slipped.
+the rest (solution separation). The risk of three is spent.
 
 The scale changes: with time by tyres that warm up (``drift``), and by load and pressure (``change``). Both are bounds
-of the configuration. Not covered: a larger change, until RTK returns; then a window finds it.
+of the configuration. A larger change ends the estimate when the latest windows contradict those before: one of 2 %
+after one or two windows, one of 1 % after eight. Not covered: a change while there is no RTK.
 """
 
 from __future__ import annotations
@@ -47,6 +50,7 @@ WHEEL_SCALE = record(
     known=("?", "an estimate is in use"),
     time_s="clock [s]",
     since_s="when the oldest window of the estimate in use began [s]",
+    fresh=("?", "windows have changed since the estimate in use was made"),
     count=("i8", "windows in memory"),
     next=("i8", "place of the window that is open, or that comes next"),
     open=("?", "a window is open"),
@@ -67,6 +71,8 @@ WHEEL_WINDOW = record(
     misfit="D - d [m]",
     variance="of the noise of the wheels [m^2]",
     bound="b [m]",
+    push="forward specific force times distance [m^2/s^2]",
+    pull="backward specific force times distance [m^2/s^2]",
     opening="level of the RTK position where the open window began, in its place [m]",
     began_s="when it began [s]",
 )
@@ -79,7 +85,7 @@ GYRO_SIGMAS = 5.0  # of the gyro bias, in the bound of a bend; beyond the factor
 @jit
 def forget_scale(s: Any) -> None:
     """Forget all windows; the declared scale holds."""
-    s.count, s.next, s.open, s.known, s.scale = 0, 0, False, False, 0.0
+    s.count, s.next, s.open, s.known, s.scale, s.fresh = 0, 0, False, False, 0.0, True
 
 
 @jit
@@ -114,50 +120,69 @@ def open_window(east: float, north: float, level: Any, windows: Records, s: Any)
 def close_window(
     east: float, north: float, level: Any, p_bias: float, cases: Records, odometer: Any, windows: Records, s: Any
 ) -> bool:  # fmt: skip
-    """Add the open window, which ends at (east, north) [m]; False if it contradicts the others.
+    """Add the open window, which ends at (east, north) [m]; False if the scale has changed.
+
+    The latest 1, 2, 4, ... windows are compared with those before. Here the bounds of windows count as independent: a
+    false alarm costs the estimate, no more.
 
     level (R, 2) of that position [m]; p_bias : variance of the gyro bias [rad^2/s^2]; cases (R,) of CASE; odometer :
     declared figures.
     """
     rules, duration = odometer.estimate, s.time_s - s.began_s
     bend = min(s.most - s.least + GYRO_SIGMAS * math.sqrt(p_bias) * duration, math.pi)
-    bound = odometer.bias * duration + rules.slip * max(s.push, s.pull) + s.path * (1.0 - math.cos(bend))
+    bound = odometer.bias * duration + s.path * (1.0 - math.cos(bend))
     for r in range(windows.shape[1]):
         window = windows[s.next, r]
         window.path, window.began_s = s.path, s.began_s
         window.misfit = math.hypot(east - s.east, north - s.north) - s.path
         window.variance = 2.0 * odometer.sigma**2 * odometer.tau * duration
-        window.bound = window.opening + level[r, 0] + bound
-    newest, s.open = s.next, False
+        window.bound, window.push, window.pull = window.opening + level[r, 0] + bound, s.push, s.pull
+    newest, s.open, s.fresh = s.next, False, True
     s.next, s.count = (s.next + 1) % windows.shape[0], min(s.count + 1, windows.shape[0])
     if s.count < 2:
         return True
-    path, misfit, variance, bound = sums_of(windows, s.count, 0)
-    one, k = windows[newest, 0], factor_of(cases[0])
-    rest, others = path - one.path, (misfit - one.misfit) / (path - one.path)
-    allowed = (k * math.sqrt(one.variance) + one.bound) / one.path
-    allowed += (k * math.sqrt(max(variance - one.variance, 0.0)) + bound - one.bound) / rest
-    allowed += 2.0 * rules.change + rules.drift * (s.time_s - oldest_of(windows, s.count))
-    return bool(abs(one.misfit / one.path - others) <= allowed)
-
-
-@jit
-def factor_of(case: Any) -> float:
-    """K of the noise in the bounds of a case."""
-    return float(max(case.k_dead[0], case.k_dead[1]))
+    k, latest = max(cases[0].k_dead[0], cases[0].k_dead[1]), 1
+    most = rules.drift * (s.time_s - oldest_of(windows, s.count))
+    while latest < s.count:
+        new = part_of(windows, s.count, newest, latest, True, k, rules.slip)
+        old = part_of(windows, s.count, newest, latest, False, k, rules.slip)
+        if abs(new[0] - old[0]) > math.sqrt(new[1] + old[1]) + new[2] + old[2] + most:
+            return False
+        latest *= 2
+    return True
 
 
 @jit(borrows=True)
-def sums_of(windows: Records, count: int, r: int) -> tuple[float, float, float, float]:
-    """Sums over the windows of distance, misfit, variance and bound, for case r."""
-    path, misfit, variance, bound = 0.0, 0.0, 0.0, 0.0
+def part_of(
+    windows: Records, count: int, newest: int, latest: int, new: bool, k: float, slip: float
+) -> tuple[float, float, float]:
+    """Estimate of s by the latest windows, or by all others; square of what noise and bounds do to it, and slip."""
+    path, misfit, square, push, pull = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(count):
-        window = windows[i, r]
-        path += window.path
-        misfit += window.misfit
-        variance += window.variance
-        bound += window.bound
-    return path, misfit, variance, bound
+        if ((newest - i) % windows.shape[0] < latest) == new:
+            window = windows[i, 0]
+            path += window.path
+            misfit += window.misfit
+            square += k * k * window.variance + window.bound * window.bound
+            push += window.push
+            pull += window.pull
+    return misfit / path, square / (path * path), slip * max(push, pull) / path
+
+
+@jit(borrows=True)
+def estimate(windows: Records, count: int, r: int, k: float, slip: float, one: int, two: int) -> tuple[float, float]:
+    """Estimate of s by all windows but two, or one, and the bound of its error for case r with factor K."""
+    path, misfit, variance, bound, push, pull = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(count):
+        if i != one and i != two:
+            window = windows[i, r]
+            path += window.path
+            misfit += window.misfit
+            variance += window.variance
+            bound += window.bound
+            push += window.push
+            pull += window.pull
+    return misfit / path, (k * math.sqrt(variance) + bound + slip * max(push, pull)) / path
 
 
 @jit(borrows=True)
@@ -170,19 +195,14 @@ def oldest_of(windows: Records, count: int) -> float:
 
 
 @jit(borrows=True)
-def scale_of(windows: Records, count: int, r: int, case: Any, change: float) -> tuple[float, float]:
+def scale_of(windows: Records, count: int, r: int, case: Any, rules: Any) -> tuple[float, float]:
     """Estimate of s, and the bound of its error for case r without that of ``drift``; inf with too few windows."""
     if count < LEAST_WINDOWS:
         return 0.0, math.inf
-    k = factor_of(case)
-    path, misfit, variance, bound = sums_of(windows, count, r)
-    scale, most = misfit / path, 0.0
+    k, most = max(case.k_dead[0], case.k_dead[1]), 0.0
+    scale, _ = estimate(windows, count, r, k, rules.slip, -1, -1)
     for i in range(count):
         for j in range(i + 1, count):
-            one, two = windows[i, r], windows[j, r]
-            rest = path - one.path - two.path
-            without = (misfit - one.misfit - two.misfit) / rest
-            noise = math.sqrt(max(variance - one.variance - two.variance, 0.0))
-            own = (k * noise + bound - one.bound - two.bound) / rest
+            without, own = estimate(windows, count, r, k, rules.slip, i, j)
             most = max(most, abs(scale - without) + own)
-    return scale, most + change
+    return scale, most + rules.change

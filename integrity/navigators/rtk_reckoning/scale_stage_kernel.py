@@ -54,9 +54,11 @@ def adopt_scale(vehicle: Any, starts: Records, windows: Records, cases: Records,
     Only where both dead reckonings restart: neither may have moved with another scale.
     """
     s, rules = vehicle.wheels, odometer.estimate
-    s.known, s.scale = False, 0.0
+    if not s.fresh:
+        return
+    s.known, s.scale, s.fresh = False, 0.0, False
     for r in range(cases.shape[0]):
-        scale, bound = scale_of(windows, s.count, r, cases[r], rules.change)
+        scale, bound = scale_of(windows, s.count, r, cases[r], rules)
         starts[LATEST, r].scale = starts[BACKUP, r].scale = bound
         if r == 0 and bound + rules.drift * (s.time_s - oldest_of(windows, s.count)) < odometer.scale:
             s.known, s.scale, s.since_s = True, scale, oldest_of(windows, s.count)
