@@ -22,7 +22,7 @@ the rest (solution separation). The risk of three is spent.
 
 The scale changes: with time by tyres that warm up (``drift``), and by load and pressure (``change``). Both are bounds
 of the configuration. A larger change ends the estimate when the latest windows contradict those before: one of 2 %
-after one or two windows, one of 1 % after eight. Not covered: a change while there is no RTK.
+after one or two windows, one of 1 % after four to eight. Not covered: a change while there is no RTK.
 """
 
 from __future__ import annotations
