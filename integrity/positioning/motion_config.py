@@ -25,6 +25,11 @@ class DopplerConfig(Config):
         "0.54 fits S1 tables 4 and 5, a reflection lasts for a facade of 10 to 20 m; chosen on training streets",
     )
     bias_mps: float = Field(0.002, ge=0, description="bound of a constant velocity bias in E and in N [m/s]")
+    carriers: bool = Field(
+        False,
+        description="velocity from the changes of locked carriers over an epoch, with the noise declared for RTK's "
+        "phases, where at least six are locked; else from range rates",
+    )
     elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
     cn0_min_dbhz: float = Field(28.0, ge=0, description="lowest C/N0 used for the velocity [dB-Hz]")
 

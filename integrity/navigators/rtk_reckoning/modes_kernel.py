@@ -13,7 +13,7 @@ from typing import Any
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import roll, step_doppler, step_odometer, step_still
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias, scale_bound
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Array, Epoch
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Array, Epoch
 from lanebound.integrity.positioning.codes_kernel import DOPPLER, IMU_ODOMETER, NONE, UNDECIDED
 
 CREEPING_MPS = 1.0  # slower, levels count what the side slip adds to the error; chosen
@@ -33,8 +33,11 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
         if not vehicle.since_rtk <= par.modes.doppler_max_s:
             continue
         scale = scale_bound(vehicle.wheels, epoch.starts[v, LATEST, 0], par.odometer)
-        if par.modes.doppler_if_tighter and not doppler_is_tighter(
-            w, vehicle, epoch.observed[v].speed, scale, epoch.tables.cases[0].k_dead, par
+        # Changes of carriers add up to less than any odometer in seconds, although one of them is as noisy.
+        if (
+            par.modes.doppler_if_tighter
+            and not w.by_carriers
+            and not doppler_is_tighter(w, vehicle, epoch.observed[v].speed, scale, epoch.tables.cases[0].k_dead, par)
         ):
             continue
         w.mode, w.integrates = DOPPLER, not w.resting
@@ -42,7 +45,11 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
             stand(par, w, vehicle)
             continue
         before_e, before_n = (vehicle.velocity[0], vehicle.velocity[1]) if vehicle.has_velocity else (w.v_e, w.v_n)
-        move(vehicle, 0.5 * par.dt * (before_e + w.v_e), 0.5 * par.dt * (before_n + w.v_n))
+        if w.by_carriers:  # it is the mean of the epoch
+            move(vehicle, par.dt * w.mean_e, par.dt * w.mean_n)
+            vehicle.growth[LATEST].have_l, vehicle.growth[BACKUP].have_l = False, False
+        else:
+            move(vehicle, 0.5 * par.dt * (before_e + w.v_e), 0.5 * par.dt * (before_n + w.v_n))
         for k in range(2):
             step_doppler(w.step, w.q[0, 0], w.q[0, 1], w.q[1, 1], par.doppler.bias, vehicle.growth[k])
 

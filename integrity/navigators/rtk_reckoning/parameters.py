@@ -24,6 +24,7 @@ from lanebound.integrity.positioning.parameters import (
     slip_parameters,
     watch_parameters,
 )
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import SATELLITE
 from lanebound.integrity.positioning.wheel_scale_kernel import SCALE_RULES
 from lanebound.integrity.sky.systems import FIXABLE, WAVELENGTH_M
@@ -51,7 +52,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
         confirm=p.rtk.confirm_s,
         rtk=rtk_parameters(p.rtk, len(c.gnss.bands), smallest),
         slips=slip_parameters(p.slips),
-        doppler=_doppler_rules(p.doppler, c.dt_s),
+        doppler=_doppler_rules(p.doppler, p.rtk, c.dt_s),
         heading=_heading_rules(p.heading),
         odometer=_odometer_rules(p.dead_reckoning),
         modes=mode_parameters(p.mode, "imu_odometer" in c.modes),
@@ -76,7 +77,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
     )
 
 
-def _doppler_rules(d: DopplerConfig, dt_s: float) -> Records:
+def _doppler_rules(d: DopplerConfig, rtk: RtkConfig, dt_s: float) -> Records:
     correlation = bound_correlation(*d.tau_range_s, dt_s)
     return one_record(
         rk.DOPPLER_RULES,
@@ -85,6 +86,8 @@ def _doppler_rules(d: DopplerConfig, dt_s: float) -> Records:
         white=correlation.white,
         course=correlation.course,
         bias=d.bias_mps,
+        carriers=d.carriers,
+        carrier_sigma=np.sqrt(2.0) * rtk.sigma_phase_m / dt_s,
         sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
         cn0_min=d.cn0_min_dbhz,
     )

@@ -29,7 +29,9 @@ SURROGATE: dict[str, Any] = {"perception": {"others": "surrogate"}, "duration_s"
 TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
 SEQUENTIAL: dict[str, Any] = {"navigator": {"positioning": {"rtk": {"float_solution": {"kind": "sequential"}}}}}
 NEAR: dict[str, Any] = {"navigator": {"gnss": {"near_objects": {"kind": "vehicle"}}}}
-ESTIMATED: dict[str, Any] = {"navigator": {"positioning": {"dead_reckoning": {"scale": "estimated"}}}}
+ESTIMATED: dict[str, Any] = {
+    "navigator": {"positioning": {"dead_reckoning": {"scale": "estimated"}, "doppler": {"carriers": True}}}
+}
 BUDGET: dict[str, Any] = {"alert_limit": "budget"}
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
 CASES: list[tuple[str, dict[str, Any], int]] = [
