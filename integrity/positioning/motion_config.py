@@ -28,7 +28,7 @@ class DopplerConfig(Config):
     carriers: bool = Field(
         False,
         description="velocity from the changes of locked carriers over an epoch, with the noise declared for RTK's "
-        "phases, where at least six are locked; else from range rates",
+        "phases, where at least six are locked; levels fail where facades mirror many signals",
     )
     elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
     cn0_min_dbhz: float = Field(28.0, ge=0, description="lowest C/N0 used for the velocity [dB-Hz]")
