@@ -66,9 +66,12 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
         w.sin_h, w.cos_h = math.sin(heading.angle), math.cos(heading.angle)
         step = w.step
         step.dt_s, step.axle_bias = par.dt, par.lever.axle_bound * step.turn.axle
+        # Changes of carriers have errors that are independent in every epoch.
         step.phi_doppler, step.phi_odometer = par.doppler.decay, math.exp(-par.dt / par.odometer.tau)
         step.white_doppler = par.doppler.white
-        correlate(par.doppler.decay, par.doppler.white, heading, step.turn)
+        if w.by_carriers:
+            step.phi_doppler, step.white_doppler = 0.0, 0.0
+        correlate(step.phi_doppler, step.white_doppler, heading, step.turn)
 
 
 @jit(borrows=True)
@@ -93,6 +96,8 @@ def _move_velocity(vehicle: Any, par: Any, w: Any) -> None:
     w.v_e = w.velocity[0] - w.turning * (cos_h * forward - sin_h * right)
     w.v_n = w.velocity[1] + w.turning * (sin_h * forward + cos_h * right)
     w.v_gnss = math.hypot(w.v_e, w.v_n)
+    w.mean_e += w.v_e - w.velocity[0]
+    w.mean_n += w.v_n - w.velocity[1]
 
 
 @jit
@@ -159,7 +164,7 @@ def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -
             vehicle.doubt.refuses = False
         note_course(jump, vehicle.since_calibration, heading, vehicle.doubt)
         return False
-    variance *= par.doppler.course
+    variance *= 1.0 if w.by_carriers else par.doppler.course
     turn, signed = w.step.turn, math.copysign(magnitude, speed)
     right_e, right_n = math.cos(course) / signed, -math.sin(course) / signed
     turn.right[0], turn.right[1] = right_e, right_n

@@ -11,9 +11,9 @@ import math
 from typing import Any
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import step_doppler, step_odometer, step_still
-from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Array, Epoch
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import roll, step_doppler, step_odometer, step_still
+from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias, scale_bound
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Array, Epoch
 from lanebound.integrity.positioning.codes_kernel import DOPPLER, IMU_ODOMETER, NONE, UNDECIDED
 
 CREEPING_MPS = 1.0  # slower, levels count what the side slip adds to the error; chosen
@@ -32,8 +32,12 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
             continue
         if not vehicle.since_rtk <= par.modes.doppler_max_s:
             continue
-        if par.modes.doppler_if_tighter and not doppler_is_tighter(
-            w, vehicle, epoch.observed[v].speed, epoch.tables.cases[0].k_dead, par
+        scale = scale_bound(vehicle.wheels, epoch.starts[v, LATEST, 0], par.odometer)
+        # Changes of carriers add up to less than any odometer in seconds, although one of them is as noisy.
+        if (
+            par.modes.doppler_if_tighter
+            and not w.by_carriers
+            and not doppler_is_tighter(w, vehicle, epoch.observed[v].speed, scale, epoch.tables.cases[0].k_dead, par)
         ):
             continue
         w.mode, w.integrates = DOPPLER, not w.resting
@@ -41,27 +45,31 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
             stand(par, w, vehicle)
             continue
         before_e, before_n = (vehicle.velocity[0], vehicle.velocity[1]) if vehicle.has_velocity else (w.v_e, w.v_n)
-        move(vehicle, 0.5 * par.dt * (before_e + w.v_e), 0.5 * par.dt * (before_n + w.v_n))
+        if w.by_carriers:  # it is the mean of the epoch
+            move(vehicle, par.dt * w.mean_e, par.dt * w.mean_n)
+            vehicle.growth[LATEST].have_l, vehicle.growth[BACKUP].have_l = False, False
+        else:
+            move(vehicle, 0.5 * par.dt * (before_e + w.v_e), 0.5 * par.dt * (before_n + w.v_n))
         for k in range(2):
             step_doppler(w.step, w.q[0, 0], w.q[0, 1], w.q[1, 1], par.doppler.bias, vehicle.growth[k])
 
 
 @jit
-def doppler_is_tighter(w: Any, vehicle: Any, speed: float, k_md: Array, par: Any) -> bool:
+def doppler_is_tighter(w: Any, vehicle: Any, speed: float, scale: float, k_md: Array, par: Any) -> bool:
     """Whether the bound of the Doppler velocity is smaller than that of gyro and odometer, squared and over both axes.
 
     Doppler: ``K^2 (q_EE + q_NN)`` and its bias; gyro and odometer: ``v (K_CT sigma_theta + b_theta)`` across and ``K_AT
-    sigma_v + b_v`` along, infinite while the odometer is doubted. Bounds of one epoch are compared: in long outages the
-    error of Doppler grows with the root of time, that of the heading with time. Nothing of the errors themselves
-    enters. A reflected range rate moves a Doppler position by metres in seconds; the heading that it calibrated
-    averages it.
+    sigma_v + b_v + b_s v`` along, with the bound ``scale`` b_s, infinite while the odometer is doubted. Bounds of one
+    epoch are compared: in long outages the error of Doppler grows with the root of time, that of the heading with time.
+    Nothing of the errors themselves enters. A reflected range rate moves a Doppler position by metres in seconds; the
+    heading that it calibrated averages it.
     """
     if vehicle.watch.doubted:
         return True
     rules, k = par.odometer, max(k_md[0], k_md[1])
     doppler = k * math.sqrt(w.q[0, 0] + w.q[1, 1]) + math.sqrt(2.0) * par.doppler.bias
     across = abs(speed) * (k_md[1] * math.sqrt(vehicle.heading.p_hh) + heading_bias(vehicle, rules))
-    along = k_md[0] * rules.sigma + rules.bias + rules.scale * abs(speed)
+    along = k_md[0] * rules.sigma + rules.bias + scale * abs(speed)
     return bool(doppler * doppler < across * across + along * along)
 
 
@@ -79,13 +87,17 @@ def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
             stand(par, w, vehicle)
             continue
         s, c, speed = math.sin(w.middle), math.cos(w.middle), epoch.observed[v].speed
-        w.run = par.dt * speed
+        w.run = par.dt * speed * (1.0 + vehicle.wheels.scale)
         move(vehicle, w.run * s, w.run * c)
-        b_theta, bias = heading_bias(vehicle, rules), rules.bias + rules.scale * abs(speed)
+        # An estimated scale has a bound for each case, which the levels count by the path since the RTK position.
+        scale = 0.0 if rules.estimated else rules.scale
+        b_theta, bias = heading_bias(vehicle, rules), rules.bias + scale * abs(speed)
         aside = _slip_bound(vehicle.heading, par, speed, w.turning)
         for k in range(2):
             g = vehicle.growth[k]
             step_odometer(w.step, speed, s, c, rules.sigma, bias, b_theta, g)
+            if rules.estimated:
+                roll(w.run * s, w.run * c, epoch.observed[v].delta_v[0] / par.dt, g)
             g.box_e += aside * abs(w.cos_h)
             g.box_n += aside * abs(w.sin_h)
 

@@ -45,14 +45,17 @@ def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
     for v in range(first, last):
         vehicle, w, turn, faults = epoch.vehicles[v], epoch.work[v], epoch.work[v].step.turn, epoch.faults[v]
         across_e, across_n = w.run * math.cos(w.middle), -w.run * math.sin(w.middle)
-        t = trapezoid(par.dt, vehicle.has_velocity, par.doppler.decay, par.doppler.white)
+        had = vehicle.has_velocity and not w.by_carriers
+        decay, white = (0.0, 0.0) if w.by_carriers else (par.doppler.decay, par.doppler.white)
+        t = trapezoid(par.dt, had, decay, white)
         largest = 0.0
         for k in range(faults.shape[0]):
             if is_idle(faults[k]):
                 continue
             largest = max(largest, advance_course(turn, faults[k].now, faults[k].course))
             separate(t, across_e, across_n, vehicle, w, faults[k])
-        advance_spread(turn, par.doppler.course * largest, across_e, across_n, vehicle.spread, vehicle.growth)
+        course = 1.0 if w.by_carriers else par.doppler.course
+        advance_spread(turn, course * largest, across_e, across_n, vehicle.spread, vehicle.growth)
         for reckoning in range(2):
             vehicle.growth[reckoning].apart_s = t.now if w.integrates else 0.0
         vehicle.separated = vehicle.separated or w.integrates or w.run != 0.0
@@ -183,7 +186,7 @@ def _use_backup(
         return
     later = later_by(backup.age, vehicle.memory_s, par.risk.fault_duration)
     growth, separations = vehicle.growth[BACKUP], faults.backup
-    levels_since_fix(growth, starts[BACKUP], separations, tables, par.risk, sin_h, cos_h, later, levels)
+    levels_since_fix(growth, starts[BACKUP], separations, tables, par, vehicle.wheels, sin_h, cos_h, later, levels)
     if vehicle.jump.drifts or contradicts(east, north, sin_h, cos_h, levels[0], found[0]):
         vehicle.position[0], vehicle.position[1] = backup.position[0], backup.position[1]
         vehicle.since_rtk, vehicle.separated = backup.age, True

@@ -24,7 +24,9 @@ from lanebound.integrity.positioning.parameters import (
     slip_parameters,
     watch_parameters,
 )
+from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import SATELLITE
+from lanebound.integrity.positioning.wheel_scale_kernel import SCALE_RULES
 from lanebound.integrity.sky.systems import FIXABLE, WAVELENGTH_M
 
 if TYPE_CHECKING:
@@ -50,7 +52,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
         confirm=p.rtk.confirm_s,
         rtk=rtk_parameters(p.rtk, len(c.gnss.bands), smallest),
         slips=slip_parameters(p.slips),
-        doppler=_doppler_rules(p.doppler, c.dt_s),
+        doppler=_doppler_rules(p.doppler, p.rtk, c.dt_s),
         heading=_heading_rules(p.heading),
         odometer=_odometer_rules(p.dead_reckoning),
         modes=mode_parameters(p.mode, "imu_odometer" in c.modes),
@@ -75,7 +77,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
     )
 
 
-def _doppler_rules(d: DopplerConfig, dt_s: float) -> Records:
+def _doppler_rules(d: DopplerConfig, rtk: RtkConfig, dt_s: float) -> Records:
     correlation = bound_correlation(*d.tau_range_s, dt_s)
     return one_record(
         rk.DOPPLER_RULES,
@@ -84,6 +86,8 @@ def _doppler_rules(d: DopplerConfig, dt_s: float) -> Records:
         white=correlation.white,
         course=correlation.course,
         bias=d.bias_mps,
+        carriers=d.carriers,
+        carrier_sigma=np.sqrt(2.0) * rtk.sigma_phase_m / dt_s,
         sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
         cn0_min=d.cn0_min_dbhz,
     )
@@ -107,6 +111,16 @@ def _odometer_rules(o: DeadReckoningConfig) -> Records:
         tau=o.odometer_tau_s,
         bias=o.odometer_bias_mps,
         scale=o.odometer_scale,
+        estimated=o.windows > 0,
+        estimate=one_record(
+            SCALE_RULES,
+            length=o.estimate.length_m,
+            bend=np.deg2rad(o.estimate.bend_deg),
+            min_speed=o.estimate.min_speed_mps,
+            slip=o.estimate.slip_s2_per_m,
+            drift=o.estimate.drift_per_s,
+            change=o.estimate.change,
+        ),
         still_speed=o.standstill_speed_mps,
         heading_bias=np.deg2rad(o.heading_bias_deg),
         heading_drift=np.deg2rad(o.heading_drift_degps),
@@ -144,7 +158,7 @@ def epoch_tables(c: RtkReckoningConfig, system: NDArray[np.int64]) -> rk.Tables:
     return rk.Tables(
         satellite_table(system, wavelength, FIXABLE[system], c.risk),
         mode_priors(system, c.risk),
-        case_table(c.cases, c.risk, spent),
+        case_table(c.cases, c.risk, spent, p.dead_reckoning),
         *separation_thresholds(c, len(system)),
     )
 
@@ -164,11 +178,20 @@ def mode_priors(system: NDArray[np.int64], risk: RiskConfig) -> NDArray[np.float
     return np.concatenate([risk.priors()[0][system], risk.doppler_priors()[: int(system.max(initial=-1)) + 1]])
 
 
-def case_table(cases: tuple[PlCase, ...], risk: RiskConfig, spent: float) -> Records:
-    """The levels to report (R,) of CASE; ``spent`` is the risk of dead reckoning that is spent otherwise."""
+def case_table(
+    cases: tuple[PlCase, ...], risk: RiskConfig, spent: float, reckoning: DeadReckoningConfig | None = None
+) -> Records:
+    """The levels to report (R,) of CASE; ``spent`` is the risk of dead reckoning that is spent otherwise.
+
+    Where the odometer's scale is estimated, the risk of three false windows is spent too, ``(N p)^3 / 6``: p that the
+    wheels slip or one of two RTK positions is beyond its level.
+    """
     total = np.array([case.integrity_risk for case in cases])
     published = np.array([case.variant is Variant.PUBLISHED for case in cases])
-    budgets = risk.axis_budgets(total, spent)
+    left = total
+    if reckoning is not None and reckoning.windows > 0:
+        left = total - (reckoning.windows * (reckoning.estimate.false_window + 2.0 * total)) ** 3 / 6.0
+    budgets = risk.axis_budgets(left, spent)
     out = np.zeros(len(cases), rk.CASE)
     out["risk"], out["published"], out["budget"], out["k_published"] = total, published, budgets, upper_quantile(total)
     out["form"] = [_form(case) for case in cases]

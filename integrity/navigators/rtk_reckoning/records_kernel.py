@@ -23,6 +23,7 @@ from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
 from lanebound.integrity.positioning.odometer_watch_kernel import ODOMETER_WATCH, WATCH_LIMITS
 from lanebound.integrity.positioning.rtk_kernel import RTK_RULES
 from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES, SLIP_WATCH
+from lanebound.integrity.positioning.wheel_scale_kernel import SCALE_RULES, WHEEL_SCALE
 
 __all__ = [
     "CASE",
@@ -54,6 +55,8 @@ DOPPLER_RULES = record(
     white="variance of the white part of it [-]",
     course="variance of a white error that bounds both [-]",
     bias="bound of a constant velocity bias in E and in N [m/s]",
+    carriers=("?", "carriers give the velocity where enough are locked"),
+    carrier_sigma="change of a carrier over an epoch, zenith [m/s]",
     sin_mask="sine of the lowest elevation used",
     cn0_min="lowest C/N0 used [dB-Hz]",
 )
@@ -68,7 +71,9 @@ ODOMETER_RULES = record(
     sigma="odometer speed, 1 sigma [m/s]",
     tau="correlation time of its error [s]",
     bias="bound of a constant error [m/s]",
-    scale="bound of the scale error [-]",
+    scale="declared bound of the scale error [-]",
+    estimated=("?", "RTK displacements bound it once they do so better"),
+    estimate=(SCALE_RULES, "how"),
     still_speed="speed that the odometer may show as rest [m/s]",
     heading_bias="bound of the heading's error after calibration [rad]",
     heading_drift="growth of that bound [rad/s]",
@@ -174,6 +179,7 @@ VEHICLE = record(
     backup=(BACKUP_STATE, "backup solution"),
     jump=(JUMP, "jump monitor"),
     watch=(ODOMETER_WATCH, "odometer watch"),
+    wheels=(WHEEL_SCALE, "estimate of the odometer's scale"),
     alert=(ALERT, "alert"),
     growth=(GROWTH, (2,), "of the errors of dead reckoning, LATEST and BACKUP"),
     drift=(DRIFT, "drift watch"),
@@ -188,6 +194,7 @@ START = record(
     bias_second="the same, second axis [m]",
     whole_first="bound of the whole error, first axis; inf without a level [m]",
     whole_second="the same, second axis [m]",
+    scale="bound of the error of the odometer's estimated scale [-]",
 )
 """What the last RTK position left to the levels of one case."""
 
@@ -206,8 +213,8 @@ class State(NamedTuple):
     """What lasts of B vehicles.
 
     vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; faults (B, M) of FAULT; starts (B, 2, R) of START, for
-    LATEST and BACKUP; anchors (B, A) of ANCHOR, of the drift watch; filters of the float ambiguities, None where
-    they come from single epochs.
+    LATEST and BACKUP; anchors (B, A) of ANCHOR, of the drift watch; windows (B, W, R) of WHEEL_WINDOW, W = 0 where the
+    scale is declared; filters of the float ambiguities, None where they come from single epochs.
     """
 
     vehicles: Records
@@ -215,6 +222,7 @@ class State(NamedTuple):
     faults: Records
     starts: Records
     anchors: Records
+    windows: Records
     filters: FloatFilters | None
 
 
@@ -243,7 +251,10 @@ WORK = record(
     solved=("?", "there is a tested Doppler velocity"),
     checked=("?", "it may move the position"),
     doppler_moves=("?", "it agrees with the odometer, has good geometry and no doubt of the heading refuses it"),
+    by_carriers=("?", "it is of changes of carriers"),
     velocity=("f8", (3,), "Doppler velocity of the antenna, East North Up [m/s]"),
+    mean_e="by carriers: mean velocity of the epoch, East, of the antenna, then of the reference point [m/s]",
+    mean_n="the same, North [m/s]",
     q=("f8", (3, 3), "its covariance [m^2/s^2]"),
     v_e="Doppler velocity of the reference point, East [m/s]",
     v_n="the same, North [m/s]",
@@ -333,6 +344,7 @@ class Epoch(NamedTuple):
     faults: Records
     starts: Records
     anchors: Records
+    windows: Records
     filters: FloatFilters | None
     signals: Records
     observed: Records

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,9 @@ from lanebound.integrity.positioning.rtk_kernel import UNUSED, is_strong, weigh
 
 __all__ = ["find_velocity"]
 
+CARRIERS = 6  # of a velocity: two more than unknowns, so that one can be found to be wrong and excluded
+LEAST_SPEED_MPS = 0.5  # at which the velocity has a course; heading.min_speed_mps
+
 
 @jit
 def find_velocity(first: int, last: int, epoch: Epoch) -> None:
@@ -39,10 +43,15 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
     for v in range(first, last):
         vehicle, w = epoch.vehicles[v], epoch.work[v]
         _fill_rows(epoch.signals[v], satellites, par, epoch.marks[v], rows)
+        w.by_carriers = par.doppler.carriers and _take_carriers(
+            epoch.signals[v], epoch.ambiguities[v], vehicle.rtk.slips, epoch.observed[v].age, par, epoch.marks[v], rows
+        )
         outcome, _, _, _, w.excluded_doppler = detect_and_exclude(
             rows, vehicle.heading.angle, tables.thresholds, par.fde, w.velocity, w.q
         )
         w.hdop_doppler = hdop_of(rows)
+        if w.by_carriers:
+            _end_of_epoch(epoch.observed[v], w)
         # Without redundancy there is no test: the level of the velocity then rests on the priors alone.
         w.solved = outcome <= EXCLUDED or outcome == NO_REDUNDANCY
         _judge(rows, tables, par, vehicle, w, epoch.faults[v], centred, sums)
@@ -59,6 +68,51 @@ def _fill_rows(signals: Records, satellites: Records, par: Any, marks: Records, 
         row.variance = (marks[s].quality if row.used else UNUSED) * par.doppler.sigma**2
         for k in range(3):
             row.e[k] = signal.e[k]
+
+
+@jit(borrows=True)
+def _take_carriers(
+    signals: Records, ambiguities: Records, last: Any, age: float, par: Any, marks: Records, rows: Records
+) -> bool:  # fmt: skip
+    """Replace the range rates by changes of carriers since the last epoch, if enough are locked; else nothing.
+
+    ``last`` (SLIP_WATCH) has the point that the last phases are relative to. Errors of a carrier telescope: over any
+    time they add up to those of two phases, of which independent errors in every epoch are a bound.
+    """
+    if not (age < math.inf and last.age < math.inf):
+        return False
+    count, x, y, z = 0, last.anchor[0], last.anchor[1], last.anchor[2]
+    for s in range(rows.shape[0]):
+        count += rows[s].used and _is_followed(signals[s], ambiguities[s])
+    if count < CARRIERS:
+        return False
+    for s in range(rows.shape[0]):
+        row, signal = rows[s], signals[s]
+        row.used = row.used and _is_followed(signal, ambiguities[s])
+        if row.used:
+            along = signal.e[0] * x + signal.e[1] * y + signal.e[2] * z
+            row.y = (signal.phase[0] + along - ambiguities[s].last_phase[0]) / par.dt
+            row.variance = marks[s].quality * par.doppler.carrier_sigma**2
+        else:
+            row.variance = UNUSED
+    return True
+
+
+@jit
+def _is_followed(signal: Any, ambiguity: Any) -> bool:
+    """Whether a carrier has been locked since the last epoch."""
+    return bool(signal.phase[0] != 0.0 and ambiguity.last_phase[0] != 0.0 and not signal.lock_lost)
+
+
+@jit
+def _end_of_epoch(observed: Any, w: Any) -> None:
+    """Keep the mean velocity of the epoch, and turn and stretch it by gyro and accelerometer to that at its end."""
+    w.mean_e, w.mean_n = w.velocity[0], w.velocity[1]
+    speed, half = math.hypot(w.mean_e, w.mean_n), 0.5 * observed.turn[2]
+    if speed > LEAST_SPEED_MPS:
+        stretch = max(1.0 + 0.5 * observed.delta_v[0] / speed, 0.0)
+        w.velocity[0] = stretch * (math.cos(half) * w.mean_e + math.sin(half) * w.mean_n)
+        w.velocity[1] = stretch * (math.cos(half) * w.mean_n - math.sin(half) * w.mean_e)
 
 
 @jit(borrows=True)
