@@ -51,11 +51,15 @@ def _require_offered(config: EnvConfig, world: AbstractEnv) -> None:
     network = world.road.network
     closes = isinstance(world, World) and type(world).draw_closure is not World.draw_closure
     has_goal = getattr(network, "goal", None) is not None
+    tolls = bool(getattr(network, "geo_objects", None))
     forks = any(len(ends) > 1 for ends in network.graph.values())
     for name, given, there, must, worlds in (
         ("observation.closure", config.observation.closure, closes, "false where no lane closes", "WorkZoneWorld"),
         ("cost.route", config.cost.route, has_goal, "0 where the network has no goal", "GuidanceWorld"),
         ("cost.gore", config.cost.gore, forks, "0 where no road forks", "GuidanceWorld or exit-v0"),
+        ("observation.tolls", config.observation.tolls, tolls, "false where no road is tolled", "TollingWorld"),
+        ("cost.overcharge", config.cost.overcharge, tolls, "0 where no road is tolled", "TollingWorld"),
+        ("cost.undercharge", config.cost.undercharge, tolls, "0 where no road is tolled", "TollingWorld"),
     ):
         if given and not there:
             raise ConfigError(f"{name} must be {must}, as in {config.base}, got {given}: remove it, or choose {worlds}")

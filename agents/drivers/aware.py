@@ -122,8 +122,9 @@ class IntegrityAware(Rss):
         return np.minimum(self.reader.rows(observation, "pl_at"), self.config.cross_extra_m)
 
     def link_margin(self, observation: Observation) -> Array | float:
-        """The level across the track."""
-        return self.reader.value(observation, "integrity.pl_ct")
+        """The level across the track; a level that the observation cannot show excludes no link."""
+        level = self.reader.value(observation, "integrity.pl_ct")
+        return np.where(level < self.reader.scale("integrity.pl_ct"), level, np.inf)
 
     def free_speed(self, observation: Observation) -> Array:
         """Speed that route, levels, predicted sky and alert allow."""

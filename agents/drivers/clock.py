@@ -56,8 +56,9 @@ class ClockConfig(AwareConfig):
 class ClockReader(Reader):
     """Reads observations as others do, but levels, their ratios and the alert by the time since RTK.
 
-    The alert is on while a level exceeds its limit. Each vehicle of the traffic has the ego's level. Where a camera
-    keeps the lane, roads do not agree under an alert, and the limit there is a share of that of the own road.
+    The alert is on while such a level exceeds its limit; it is as old as the navigator's alert. Each vehicle of the
+    traffic has the ego's level. Where a camera keeps the lane, under an alert roads do not agree, and the other road
+    beside the believed one is possible.
 
     Parameters
     ----------
@@ -80,13 +81,15 @@ class ClockReader(Reader):
                 return self._level(observation, axis) / super().value(observation, f"integrity.al_{axis}")
             if name == "alert":
                 return self._alert(observation).astype(np.float64)
-            if name == "alert_age":  # the time since RTK says as much
-                return np.zeros_like(super().value(observation, column))
+            if name == "alert_age":  # a timer: services renew the position, so that its age does not stop the car
+                return np.where(self._alert(observation), super().value(observation, column), 0.0)
             if name == "roads_agree":
                 return (~self._alert(observation)).astype(np.float64)
             if name == "possible_limit":
-                limit = super().value(observation, "road.speed_limit")
-                return np.where(self._alert(observation), self._figures.alert_share * limit, limit)
+                limit, other = (
+                    super(ClockReader, self).value(observation, f"road.{n}_limit") for n in ("speed", "other")
+                )
+                return np.where(self._alert(observation), np.minimum(limit, other), limit)
         return super().value(observation, column)
 
     def rows(self, observation: Observation, name: str) -> Array:

@@ -3,7 +3,8 @@
 Each case is an id, a navigator and a driver, on held-out seeds in the vector engine. ``integrity_aware`` reads levels
 and alerts. ``clock`` is the same driver with the median level at the time since RTK, ``fixed`` that with the median
 level at any time; both medians are those of ``nominal`` on training seeds of the id and navigator. ``nominal`` ignores
-all of them. A level decides where ``integrity_aware`` does less harm, or costs less, than each of the three.
+all of them. Levels are better than a clock or one level where they do less harm, or have less cost of causes that do
+not depend on levels, at equal throughput.
 """
 
 from __future__ import annotations
@@ -49,7 +50,9 @@ SECTIONS = ("decides", "position", "outcome", "causes")
 READS = "integrity_aware"
 DRIVERS: dict[str, str] = {"nominal": "nominal", "fixed": "clock", "clock": "clock", READS: READS}
 """Agents of the study, by their names in it."""
-JUDGED = ("harm", "cost")
+JUDGED = ("harm", "true_cost", "throughput_mps")
+TRUE = ("collision", "off_road", "lane", "conflict", "speeding", "route", "gore", "overcharge", "undercharge")
+"""Causes that do not depend on levels or alerts: a cost of these is no verdict on who reads them."""
 EQUAL = 0.95  # of the throughput of the clock: from here on it counts as equal, chosen
 SUMS = ("cost", "available", "alert", "wrong_road", "hmi_share", "speed_mps")
 ENDS = (("success", "is_success"), ("lost", "lost"), ("crashed", "crashed"), ("off_road", "off_road"))
@@ -142,10 +145,11 @@ def _of_place(config: DecisionsConfig, name: str, advance: Advance) -> dict[str,
         taken = np.where(part["success"], dt_s * steps, np.maximum(longest, dt_s * steps))
         part["throughput_mps"] = (np.array(part["speed_mps"]) * dt_s * steps / taken).tolist()
         causes = np.array(part.pop("causes"))
-        part["harm"] = (
-            HARM_OF_AN_END * (np.array(part["crashed"]) + part["off_road"] > 0) + causes[:, CAUSES.index("cost_lane")]
-        ).tolist()
-        part["causes"] = {c: weights[c] * float(causes[:, i].mean()) for i, c in enumerate(CAUSES)}
+        weighed = causes * [weights[cause] for cause in CAUSES]
+        part["true_cost"] = weighed[:, [CAUSES.index(f"cost_{cause}") for cause in TRUE]].sum(axis=1).tolist()
+        ended = np.array(part["crashed"]) + causes[:, CAUSES.index("cost_off_road")] > 0.0
+        part["harm"] = (HARM_OF_AN_END * ended + causes[:, CAUSES.index("cost_lane")]).tolist()
+        part["causes"] = dict(zip(CAUSES, weighed.mean(axis=0).tolist(), strict=True))
         found[driver] = part
         advance((done + 1) / len(config.drivers))
     return {"env": env, "navigator": navigator, "levels": by_clock, "fixed": fixed, "drivers": found}
@@ -228,60 +232,66 @@ def _each(found: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any
 
 
 def _decided(found: Mapping[str, Any]) -> Table:
-    """Harm and cost of each driver at its throughput, and what levels save against the clock, seed by seed.
-
-    The last column says where a level decides: the figures in which ``integrity_aware`` is clearly below each other
-    driver, after Holm's method over all rows, figures and drivers; and whether it is slower than the clock.
-    """
-    others = [name for name in found["config"]["drivers"] if name != READS]
+    """Harm and true cost of each driver at its throughput, and whether levels are better than one level and a clock."""
+    rivals = [
+        name
+        for name in ("fixed", "clock")
+        if READS in found["config"]["drivers"] and name in found["config"]["drivers"]
+    ]
     changes = {
-        (place, other, key): difference(np.array(drivers[READS][key]), np.array(drivers[other][key]), "lower")
+        (place, rival, key): difference(
+            np.array(drivers[READS][key]), np.array(drivers[rival][key]), "higher" if key == JUDGED[2] else "lower"
+        )
         for place, (_, _, drivers) in enumerate(_each(found))
-        if READS in drivers
-        for other in others
+        for rival in rivals
         for key in JUDGED
+        if drivers[READS][key] != drivers[rival][key]
     }
-    adjusted = dict(zip(changes, holm([1.0 if c.p is None else c.p for c in changes.values()]), strict=True))
-    against = "clock" if "clock" in others else others[-1] if others else READS
+    adjusted = holm([1.0 if change.p is None else change.p for change in changes.values()])
+    sign = {at: _sign(change, p) for (at, change), p in zip(changes.items(), adjusted, strict=True)}
     rows = []
     for place, (env, navigator, drivers) in enumerate(_each(found)):
         available = f"{100.0 * np.mean(drivers[found['config']['drivers'][0]]['available']):.3g}"
-        less, decides = ["-", "-"], "-"
-        if READS in drivers and others:
-            less = [_change(changes[place, against, key]) for key in JUDGED]
-            clear = [
-                key
-                for key in JUDGED
-                if all(_is_less(changes[place, other, key], adjusted[place, other, key]) for other in others)
-            ]
-            decides = ", ".join(clear) or "no"
-            if clear and _throughput(drivers[READS]) < EQUAL * _throughput(drivers[against]):
-                decides += ", slower"
-        rows.append((env, navigator, available, *(_harm_at(part) for part in drivers.values()), *less, decides))
+        verdicts = []
+        for rival in rivals:
+            harm, cost, speed = (sign.get((place, rival, key), 0) for key in JUDGED)
+            verdicts.append(_verdict(min(harm, cost), max(harm, cost), speed, _pace(drivers[READS], drivers[rival])))
+        rows.append((env, navigator, available, *(_harm_at(part) for part in drivers.values()), *verdicts))
     heads = ("id", "navigator", "available [%]", *(f"`{name}`" for name in found["config"]["drivers"]))
-    return (*heads, *(f"{key}, less `{against}`" for key in JUDGED), "decides"), rows
+    return (*heads, *(f"against `{rival}`" for rival in rivals)), rows
 
 
-def _is_less(change: Difference, p: float) -> bool:
-    """Whether a difference is clearly below 0, with an adjusted p-value."""
-    below = change.difference is not None and change.difference < 0.0
-    return below and p <= 0.05 and change.n >= VERDICT_SEEDS
+def _sign(change: Difference, p: float) -> int:
+    """-1 or 1 for a difference that is clearly below or above 0, with an adjusted p-value; else 0."""
+    if change.difference is None or p > 0.05 or change.n < VERDICT_SEEDS:
+        return 0
+    return 1 if change.difference > 0.0 else -1
+
+
+def _verdict(least: int, most: int, speed: int, pace: float) -> str:
+    """Of a driver against another: least and largest sign of harm and true cost, and that of the throughput."""
+    if least < 0 and most <= 0:
+        return "better" if pace >= EQUAL else f"safer, {100.0 * (1.0 - pace):.0f} % slower"
+    if most > 0 and least >= 0:
+        return "worse" if pace <= 1.0 / EQUAL else f"less safe, {100.0 * (pace - 1.0):.0f} % faster"
+    if speed != 0 and least == 0 == most and not EQUAL <= pace <= 1.0 / EQUAL:
+        return f"{100.0 * abs(pace - 1.0):.0f} % {'faster' if speed > 0 else 'slower'}"
+    return "-" if least == most else "mixed"
+
+
+def _pace(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> float:
+    """Throughput over that of another driver."""
+    return _throughput(ours) / max(_throughput(theirs), 1e-9)
 
 
 def _harm_at(part: Mapping[str, Any]) -> str:
-    """Harm, cost and throughput."""
-    return f"{np.mean(part['harm']):.3g}, {np.mean(part['cost']):.3g} at {_throughput(part):.3g}"
+    """Harm, true cost and throughput."""
+    return f"{np.mean(part['harm']):.3g}, {np.mean(part['true_cost']):.3g} at {_throughput(part):.3g}"
 
 
 def _throughput(part: Mapping[str, Any]) -> float:
     """Mean over episodes [m/s]."""
     return float(np.mean(part["throughput_mps"]))
-
-
-def _change(change: Difference) -> str:
-    """A mean difference with its interval."""
-    interval = "" if change.low is None else f" ({change.low:.2g} to {change.high:.2g})"
-    return f"{change.difference:.2g}{interval}"
 
 
 def _positions(found: Mapping[str, Any]) -> Table:
