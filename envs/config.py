@@ -94,7 +94,7 @@ class EnvConfig(Config):
         AlertLimit.FIXED, description="alert limits: fixed, or of a budget at each decision"
     )
     budget: BudgetConfig = Field(BudgetConfig(), description="figures of alert limits from a budget")
-    al_at_m: float = Field(1.5, gt=0, description="along-track alert limit; half of a 3 m lane, S2 5.3")
+    al_at_m: float = Field(1.5, gt=0, description="along-track alert limit; by default half of a 3 m lane, S2 5.3")
     al_ct_m: float | None = Field(None, gt=0, description="cross-track alert limit; None: (narrowest lane - car) / 2")
     keep_lane: bool = Field(True, description="costs count beyond the lane; false: beyond the road")
     duration_s: float | None = Field(

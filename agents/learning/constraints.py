@@ -52,7 +52,10 @@ def costs_in(infos: Sequence[Mapping[str, Any]], groups: Sequence[GroupLimit] = 
     """
     for key in ("cost", "costs") if groups else ("cost",):
         if any(key not in info for info in infos):
-            raise InputError(f"info must hold '{key}' at every step, got none: use an environment of lanebound")
+            raise InputError(
+                f"info must hold '{key}' at every step, got none: use an environment of lanebound, and name {key!r} in "
+                "the keys of EngineVecEnv"
+            )
     found = np.empty((len(infos), 1 + len(groups)), dtype=np.float32)
     found[:, 0] = [info["cost"] for info in infos]
     if groups:

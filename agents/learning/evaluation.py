@@ -177,7 +177,7 @@ def evaluation_suite(
             "agents": {"learnt": learnt_agent(experiment, best), **others},
             "reference": reference,
             "seeds": {"split": "test", "count": seeds, "skip": skip},
-            "overrides": dict(experiment.overrides),
+            "overrides": {**experiment.overrides, "cost_limit": experiment.limit()},
         }
     )
     _require_fitting(suite)

@@ -80,8 +80,7 @@ class Merge(Preset):
     As above.
 
     ## Costs
-    An alert permits 10 m/s. `cost_limit` is 0.7. Mean costs (24 training seeds): `integrity_aware` 0.2,
-    `stop_on_alert` 0.4, a driver that ignores alerts 1.2.
+    An alert permits 10 m/s. `cost_limit` is 0.7. [Mean costs](results/cost-limits.md).
 
     ## Starting State
     At 30 m on the right lane, at 30 m/s; the other vehicles between 0 and 110 m at about the same speed, on the slip

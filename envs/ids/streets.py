@@ -34,8 +34,7 @@ class LaneKeeping(Preset):
     As above.
 
     ## Costs
-    `cost_headway` is always 0. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs (24 training seeds):
-    `stop_on_alert` 4, `integrity_aware` 14, a driver that ignores alerts 50.
+    `cost_headway` is always 0. An alert permits 6.9 m/s. `cost_limit` is 15. [Mean costs](results/cost-limits.md).
 
     ## Starting State
     In the middle of the lane, 10 to 956 m along the road, at 10 m/s or at the speed that the bends ahead allow.
@@ -82,8 +81,7 @@ class CarFollowing(Preset):
     As above.
 
     ## Costs
-    `cost_headway` dominates. An alert permits 6.9 m/s. `cost_limit` is 15. Mean costs (24 training seeds):
-    `stop_on_alert` 3, `integrity_aware` 23, a driver that ignores alerts 52.
+    `cost_headway` dominates. An alert permits 6.9 m/s. `cost_limit` is 15. [Mean costs](results/cost-limits.md).
 
     ## Starting State
     In the middle of the lane, 10 to 1505 m along the road, at the speed of the vehicle ahead (5 to 13.9 m/s), with a
@@ -133,8 +131,8 @@ class UrbanCanyon(Preset):
     As above.
 
     ## Costs
-    An alert permits 6.9 m/s (target speed 5.6 m/s) without a lane change. `cost_limit` is 40. Mean costs (12
-    training seeds): `stop_on_alert` 6 (it hardly moves), `integrity_aware` 56, `nominal` 221.
+    An alert permits 6.9 m/s (target speed 5.6 m/s) without a lane change. `cost_limit` is 40. [Mean
+    costs](results/cost-limits.md).
 
     ## Starting State
     In the middle of either lane, anywhere on the loop, at 10 m/s or at the speed that the bends ahead allow; the other

@@ -156,7 +156,7 @@ def truth_between(
     ----------
     position_m, velocity_mps : pairs of (B, 2) East, North at the start and at the end
     heading_rad : pair of (B,) azimuths at the start and at the end
-    arc_m, lane : (B,) or scalar, place on the street at the end
+    arc_m, lane : (B,) or scalar, place on the street at the end: in a city the sky is that of this place
 
     Raises
     ------

@@ -116,7 +116,7 @@ class WheelScaleConfig(Config):
         3e-6,
         ge=0,
         description="bound of the change of the scale with time [1/s]; 0.3 % with a time constant of 1000 s, tyres "
-        "that warm up by 30 K; below 1e-6 in two recorded drives (tests/helpers/obd_scale.py)",
+        "that warm up by 30 K; no trend in two recorded drives (tests/helpers/obd_scale.py)",
     )
     change: float = Field(
         0.002,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring.alerts import alert_parameters
 from lanebound.integrity.monitoring.detection_kernel import Thresholds
@@ -190,7 +191,15 @@ def case_table(
     published = np.array([case.variant is Variant.PUBLISHED for case in cases])
     left = total
     if reckoning is not None and reckoning.windows > 0:
-        left = total - (reckoning.windows * (reckoning.estimate.false_window + 2.0 * total)) ** 3 / 6.0
+        false = (reckoning.windows * (reckoning.estimate.false_window + 2.0 * total)) ** 3 / 6.0
+        left = total - false
+        for allowed, lost in zip(total, false, strict=True):
+            if lost > 0.5 * allowed:  # what remains would make all other levels wider than a declared scale does
+                raise ConfigError(
+                    f"dead_reckoning.scale must be declared at a risk of {allowed:g}, of which three false windows take "
+                    f"{lost:.1e}: set it so, or lower dead_reckoning.estimate.false_window "
+                    f"({reckoning.estimate.false_window:g})"
+                )
     budgets = risk.axis_budgets(left, spent)
     out = np.zeros(len(cases), rk.CASE)
     out["risk"], out["published"], out["budget"], out["k_published"] = total, published, budgets, upper_quantile(total)
