@@ -18,9 +18,9 @@ class Tolling(Preset):
     apart. One road of each geo-object, a section of 200 m, is tolled; slip roads between the sections lead from one
     road to the next. A camera keeps the car in its lane ([lane sensor](#lane-sensor)), and does not know on which road.
 
-    Difficulty: the camera sees lanes, and the position has to say which road it is. A level across excludes the roads that are farther from the
-    position; where it excludes neither the tolled road nor the others, the choice is between an overcharge and an
-    undercharge.
+    Difficulty: the camera sees lanes, and the position has to say which road it is. A level across excludes the
+    roads that are farther from the position; where it excludes neither the tolled road nor the others, the choice
+    is between an overcharge and an undercharge.
 
     ## Action Space
     `Discrete(3)` at 2 Hz: 0 defer, 1 charge the open geo-object, 2 do not charge it. The first claim counts. A

@@ -110,7 +110,7 @@ def test_the_readme_names_the_defaults_of_the_claim() -> None:
 LIMIT = r"`cost_limit`\s(?:is|of)\s([\d.]+\d|\d)"
 STATED = {  # in text, with the ids of the figures
     "docs/training.md": (
-        r"in Merge and Roundabout\*\*: their limits are\s([\d.]+)\sand\s([\d.]+)",
+        r"as in Merge and Roundabout \(limits of\s([\d.]+)\sand\s([\d.]+)",
         ["Merge", "Roundabout"],
     ),
     "docs/results/degenerate-policies.md": (r"- The limit is (\d+), the 0.7 quantile", ["Intersection"]),

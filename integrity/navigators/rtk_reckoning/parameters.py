@@ -196,7 +196,7 @@ def case_table(
         for allowed, lost in zip(total, false, strict=True):
             if lost > 0.5 * allowed:  # what remains would make all other levels wider than a declared scale does
                 raise ConfigError(
-                    f"dead_reckoning.scale must be declared at a risk of {allowed:g}, of which three false windows take "
+                    f"dead_reckoning.scale must be declared at a risk of {allowed:g}, three false windows take "
                     f"{lost:.1e}: set it so, or lower dead_reckoning.estimate.false_window "
                     f"({reckoning.estimate.false_window:g})"
                 )
