@@ -69,6 +69,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
+STALE_M = 50.0  # driven with one place on the road, after which the place counts as forgotten; chosen
 TOLD_SIGMA_M = 0.05  # of a drive that begins where the last one with RTK ended
 
 BUILT_IN = {
@@ -280,6 +281,7 @@ class Navigator:
         area_seed: int | None = None,
     ) -> None:
         self.config, self.track, self.mask = config, track, mask
+        self._arc_m, self._stale_m = np.full(1, np.nan), np.zeros(1)
         self.faults = faults or FaultSchedule(())
         self._lever_m = config.positioning.lever_arm_m
         self._instruments = Instruments.of(
@@ -445,9 +447,23 @@ class Navigator:
         Raises
         ------
         InputError
-            When the truth has another batch or epoch length, or lies outside the sky track.
+            When the truth has another batch or epoch length, or lies outside the sky track; or vehicles move through a
+            city and ``truth.arc_m``, by which the sky is looked up, stays as it is.
         """
+        self._require_moving_sky(truth)
         return self.solve(self.measure(truth))
+
+    def _require_moving_sky(self, truth: Truth) -> None:
+        """Refuse vehicles that have moved by STALE_M without a change of their place on the road."""
+        if self.mask.path.shape[0] == 1 or truth.arc_m.shape != (self.batch,):  # one sky everywhere; refused later
+            return
+        self._stale_m = np.where(truth.arc_m == self._arc_m, self._stale_m + np.abs(truth.distance_m), 0.0)
+        self._arc_m = truth.arc_m.copy()
+        if (worst := float(self._stale_m.max(initial=0.0))) > STALE_M:
+            raise InputError(
+                f"truth.arc_m must be the place on the road, got the same over {worst:.0f} m in a city: pass "
+                "arc_m=road.project(position)[0] to truth_between"
+            )
 
     def solve(self, m: Measurements) -> Solution:
         """:meth:`locate`, and the report of the context monitor where ``context`` is configured.

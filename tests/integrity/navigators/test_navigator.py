@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -29,6 +30,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode, RtkStatus
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
+from lanebound.integrity.sky.city import CityConfig, build_city
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.systems import System
@@ -767,3 +769,19 @@ def test_a_prior_without_spread_is_refused() -> None:
     navigator = Navigator.nominal(NavigatorConfig(), [1])
     with pytest.raises(InputError, match="sigma_m"):
         navigator.place(np.zeros((1, 2)), np.zeros(1), 0.0, 0.01)
+
+
+def test_a_drive_through_a_city_without_its_place_on_the_road_is_refused() -> None:
+    """The sky would be that of the start of the road all the time."""
+    road = Road.straight(400.0, lane_count=2)
+    mask = SkyMask.build(road, build_city(road, CityConfig(), np.random.default_rng(1)))
+    config = NavigatorConfig()
+    for forgets in (False, True):
+        navigator = Navigator(config, SkyTrack.from_config(config.sky, 60.0), mask, [1])
+        position, velocity, heading = np.array([[0.0, 10.0]]), np.array([[0.0, 20.0]]), np.zeros(1)
+        with pytest.raises(InputError, match="arc_m") if forgets else nullcontext():
+            for k in range(40):
+                before, position = position, position + 0.1 * velocity
+                arc = 0.0 if forgets else road.project(position)[0]
+                poses = (before, position), (velocity, velocity), (heading, heading)
+                navigator.step(truth_between(0.1 * (k + 1), 0.1, *poses, arc_m=arc))
