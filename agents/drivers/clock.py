@@ -29,15 +29,17 @@ class ClockConfig(AwareConfig):
     """Levels by the time since RTK, linear in between.
 
     The defaults are medians of the levels of `nominal` in LaneKeeping under its sky (``lanebound assess decisions``,
-    24 training seeds).
+    16 training seeds).
     """
 
     age_s: tuple[float, ...] = Field(AGES_S, min_length=1, description="times since the last RTK position [s]")
     pl_at_m: tuple[float, ...] = Field(
-        (0.06, 0.5, 0.7, 1.0, 1.5, 2.4, 4.0, 7.5, 10.0), min_length=1, description="level along the track at each [m]"
+        (0.2, 0.58, 0.89, 1.5, 2.6, 4.8, 8.6, 8.6, 8.6), min_length=1, description="level along the track at each [m]"
     )
     pl_ct_m: tuple[float, ...] = Field(
-        (0.05, 0.4, 0.6, 0.8, 1.2, 2.0, 3.2, 6.0, 10.0), min_length=1, description="level across the track at each [m]"
+        (0.21, 0.69, 1.1, 2.1, 3.8, 7.1, 10.0, 10.0, 10.0),
+        min_length=1,
+        description="level across the track at each [m]",
     )
 
     @model_validator(mode="after")
