@@ -161,7 +161,12 @@ RTK_STATE = record(
     slips=(SLIP_WATCH, "of the slip test"),
 )
 BACKUP_STATE = record(position=("f8", (2,), "East, North [m]"), age="time since its restart, inf: none [s]")
-BASE = record(anchor=("f8", (3,), "point to which its phases are relative [m]"), age="age of the corrections [s]")
+BASE = record(
+    anchor=("f8", (3,), "point to which its phases are relative [m]"),
+    age="age of the corrections [s]",
+    path_e="displacement of the antenna since by gyro and odometer, East [m]",
+    path_n="the same, North [m]",
+)
 """The begin of a window over which carriers are tested."""
 
 VEHICLE = record(

@@ -23,6 +23,7 @@ from lanebound.integrity.monitoring.doppler_separation_kernel import (
 )
 from lanebound.integrity.monitoring.heading_separation_kernel import state_of
 from lanebound.integrity.monitoring.jump_kernel import suspects_signals
+from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import side_slip
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import later_by
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Array, Epoch, Tables
 from lanebound.integrity.positioning.rows_kernel import ROW
@@ -81,6 +82,7 @@ def _take_carriers(v: int, epoch: Epoch, rows: Records) -> bool:
     for s in range(rows.shape[0]):
         if not (age < math.inf and last.age < math.inf and _is_followed(signals[s], ambiguities[s])):
             _begin_again(ambiguities[s])
+    _advance_paths(vehicle, epoch.observed[v], par)
     consistent = True
     for b in range(BASES - 1, 0, -1):
         _fill_window(b, vehicle.bases[b], age, par, signals, marks, ambiguities, rows)
@@ -88,6 +90,8 @@ def _take_carriers(v: int, epoch: Epoch, rows: Records) -> bool:
             rows, vehicle.heading.angle, epoch.tables.thresholds, par.doppler.fde, w.velocity, w.q
         )
         consistent = consistent and outcome != UNRESOLVED
+        if outcome <= EXCLUDED:
+            consistent = consistent and _agrees(vehicle, b, epoch.tables.thresholds.limits[1].local, w)
         for s in range(rows.shape[0]):
             # It has drifted against the others: a facade mirrors it, or a ray bends round an edge.
             if not rows[s].used and _is_tested(b, signals[s], ambiguities[s], par.doppler):
@@ -146,6 +150,33 @@ def _fill_changes(
 
 
 @jit(borrows=True)
+def _advance_paths(vehicle: Any, observed: Any, par: Any) -> None:
+    """Advance the displacements of the antenna by gyro and odometer since each base."""
+    heading, lever = vehicle.heading, par.lever
+    turning = observed.turn[2] * (1.0 - heading.gyro_scale) / par.dt - heading.gyro_bias
+    before, after = heading.angle, heading.angle + turning * par.dt
+    course, run = 0.5 * (before + after) + side_slip(lever.axle, turning, observed.speed), observed.speed * par.dt
+    sine, cosine = math.sin(after) - math.sin(before), math.cos(after) - math.cos(before)
+    for b in range(BASES):
+        base = vehicle.bases[b]
+        base.path_e += run * math.sin(course) + lever.forward * sine + lever.right * cosine
+        base.path_n += run * math.cos(course) + lever.forward * cosine - lever.right * sine
+
+
+@jit(borrows=True)
+def _agrees(vehicle: Any, b: int, k: float, w: Any) -> bool:
+    """Whether the displacement by carriers since a base goes where gyro and odometer do, within k sigma across.
+
+    A facade may mirror all carriers of low satellites, on which the velocity across the street rests: they then agree
+    with each other.
+    """
+    e, n = vehicle.bases[b].path_e, vehicle.bases[b].path_n
+    across = n * w.velocity[0] - e * w.velocity[1]
+    variance = n * n * w.q[0, 0] - 2.0 * n * e * w.q[0, 1] + e * e * w.q[1, 1]
+    return bool(across * across <= k * k * (variance + (e * e + n * n) ** 2 * vehicle.heading.p_hh))
+
+
+@jit(borrows=True)
 def _renew_bases(vehicle: Any, age: float, par: Any, signals: Records, ambiguities: Records) -> None:
     """Once in a window the oldest base ends and this epoch becomes the newest."""
     vehicle.since_base += par.dt
@@ -157,7 +188,7 @@ def _renew_bases(vehicle: Any, age: float, par: Any, signals: Records, ambiguiti
         for s in range(signals.shape[0]):
             ambiguities[s].bases[b] = ambiguities[s].bases[b - 1]
     newest = vehicle.bases[0]
-    newest.age = age
+    newest.age, newest.path_e, newest.path_n = age, 0.0, 0.0
     for k in range(3):
         newest.anchor[k] = vehicle.position[k]
     for s in range(signals.shape[0]):

@@ -196,6 +196,17 @@ def test_carriers_without_a_fault_are_excluded_at_the_stated_rate() -> None:
     assert binom.ppf(1e-3, vehicles, 0.5 * alpha) < alarms < binom.ppf(1.0 - 1e-3, vehicles, 2.0 * alpha)
 
 
+@pytest.mark.parametrize(("off_deg", "taken"), [(0.0, True), (2.0, False)])
+def test_carriers_that_go_aside_of_gyro_and_odometer_give_no_velocity(off_deg: float, taken: bool) -> None:
+    epoch = locked()
+    begin = first_test(epoch)
+    epoch.vehicles["heading"]["angle"] = math.atan2(3.0, 4.0) + math.radians(off_deg)
+    epoch.vehicles["heading"]["p_hh"], epoch.observed["speed"] = math.radians(0.2) ** 2, 5.0
+    errors = follow(epoch, range(begin + 12), np.zeros((begin + 12, N)))
+    assert epoch.work["by_carriers"][0] == taken
+    np.testing.assert_allclose(errors, 0.0, atol=1e-6)
+
+
 def test_carriers_that_contradict_each_other_leave_the_velocity_to_range_rates() -> None:
     epoch = locked()
     begin = first_test(epoch)
