@@ -28,7 +28,13 @@ class DopplerConfig(Config):
     carriers: bool = Field(
         False,
         description="velocity from the changes of locked carriers over an epoch, with the noise declared for RTK's "
-        "phases, where at least six are locked; levels fail where facades mirror many signals",
+        "phases, where at least six are locked and pass their tests; else from range rates",
+    )
+    window_s: float = Field(
+        0.5,
+        gt=0,
+        description="time between the bases of the windows over which these carriers are tested; a carrier is used "
+        "once it has been locked for one to two of them [s]; chosen on streets of seeds 17 and 93",
     )
     elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
     cn0_min_dbhz: float = Field(28.0, ge=0, description="lowest C/N0 used for the velocity [dB-Hz]")

@@ -23,6 +23,7 @@ from lanebound.integrity.positioning.reflection_odds_kernel import REFLECTION_RU
 __all__ = [
     "AMBIGUITY",
     "BASE",
+    "BASES",
     "FILTER_RULES",
     "MOST_AMBIGUITIES",
     "RTK_RULES",
@@ -67,12 +68,15 @@ SATELLITE = record(
 )
 """What is constant of a satellite, or of one more signal of a satellite."""
 
+BASES = 4  # of windows over which carriers are tested before they give a velocity, the newest first
+
 AMBIGUITY = record(
     held=("?", "the integers are fixed and held"),
     integers=("f8", (2,), "by band [cycles]"),
     fix_id=("i8", "number of the fix that they came from"),
     fix_risk="failure rate of that whole fix [-]",
     last_phase=("f8", (2,), "phase of the last epoch relative to the anchor, 0: not followed [m]"),
+    bases=("f8", (BASES,), "first phase at the bases of the windows, relative to theirs, 0: not followed since [m]"),
     odds="largest odds since its fix that the carrier is off, where hypotheses are monitored [-]",
     peak="C/N0 that its present one is compared with: the highest of late, which falls slowly [dB-Hz]",
 )

@@ -11,7 +11,7 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring.alerts import alert_parameters
 from lanebound.integrity.monitoring.detection_kernel import Thresholds
-from lanebound.integrity.monitoring.exclusion import fde_parameters, fde_thresholds
+from lanebound.integrity.monitoring.exclusion import FdeConfig, fde_parameters, fde_thresholds
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
 from lanebound.integrity.navigators.navigator import LevelForm, PlCase, Start
 from lanebound.integrity.navigators.rtk_reckoning import records_kernel as rk
@@ -38,6 +38,7 @@ __all__ = ["LEVER_RISK_SHARE", "epoch_parameters", "epoch_tables", "satellite_ta
 Array = NDArray[np.float64]
 
 SPENDABLE_SHARE = 0.005  # of the risk, for the fault of a system whose separation would make a level useless
+MOST_DRIFTING = 64  # carriers excluded at most: as many as drift, while redundancy is left
 LEVER_RISK_SHARE = 0.01  # of the smallest risk, for the heading that turns the lever arm
 
 
@@ -53,7 +54,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
         confirm=p.rtk.confirm_s,
         rtk=rtk_parameters(p.rtk, len(c.gnss.bands), smallest),
         slips=slip_parameters(p.slips),
-        doppler=_doppler_rules(p.doppler, p.rtk, c.dt_s),
+        doppler=_doppler_rules(p.doppler, p.rtk, c.tests, c.dt_s),
         heading=_heading_rules(p.heading),
         odometer=_odometer_rules(p.dead_reckoning),
         modes=mode_parameters(p.mode, "imu_odometer" in c.modes),
@@ -78,7 +79,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
     )
 
 
-def _doppler_rules(d: DopplerConfig, rtk: RtkConfig, dt_s: float) -> Records:
+def _doppler_rules(d: DopplerConfig, rtk: RtkConfig, tests: FdeConfig, dt_s: float) -> Records:
     correlation = bound_correlation(*d.tau_range_s, dt_s)
     return one_record(
         rk.DOPPLER_RULES,
@@ -89,6 +90,8 @@ def _doppler_rules(d: DopplerConfig, rtk: RtkConfig, dt_s: float) -> Records:
         bias=d.bias_mps,
         carriers=d.carriers,
         carrier_sigma=np.sqrt(2.0) * rtk.sigma_phase_m / dt_s,
+        window=d.window_s,
+        fde=fde_parameters(tests.replace(max_excluded=MOST_DRIFTING)),
         sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
         cn0_min=d.cn0_min_dbhz,
     )

@@ -21,7 +21,7 @@ from lanebound.integrity.positioning.float_filter_kernel import FILTER_ROW, Floa
 from lanebound.integrity.positioning.heading_kernel import CALIBRATION, HEADING
 from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
 from lanebound.integrity.positioning.odometer_watch_kernel import ODOMETER_WATCH, WATCH_LIMITS
-from lanebound.integrity.positioning.rtk_kernel import RTK_RULES
+from lanebound.integrity.positioning.rtk_kernel import BASES, RTK_RULES
 from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES, SLIP_WATCH
 from lanebound.integrity.positioning.wheel_scale_kernel import SCALE_RULES, WHEEL_SCALE
 
@@ -57,6 +57,8 @@ DOPPLER_RULES = record(
     bias="bound of a constant velocity bias in E and in N [m/s]",
     carriers=("?", "carriers give the velocity where enough are locked"),
     carrier_sigma="change of a carrier over an epoch, zenith [m/s]",
+    window="time between the bases of the windows over which carriers are tested [s]",
+    fde=(FDE_RULES, "of these tests"),
     sin_mask="sine of the lowest elevation used",
     cn0_min="lowest C/N0 used [dB-Hz]",
 )
@@ -159,6 +161,14 @@ RTK_STATE = record(
     slips=(SLIP_WATCH, "of the slip test"),
 )
 BACKUP_STATE = record(position=("f8", (2,), "East, North [m]"), age="time since its restart, inf: none [s]")
+BASE = record(
+    anchor=("f8", (3,), "point to which its phases are relative [m]"),
+    age="age of the corrections [s]",
+    path_e="displacement of the antenna since by gyro and odometer, East [m]",
+    path_n="the same, North [m]",
+)
+"""The begin of a window over which carriers are tested."""
+
 VEHICLE = record(
     position=("f8", (3,), "East, North, Up of the reference point [m]"),
     heading=(HEADING, "heading filter"),
@@ -170,6 +180,8 @@ VEHICLE = record(
     velocity=("f8", (2,), "East, North at the end of the last epoch [m/s]"),
     has_velocity=("?", "the velocity begins a trapezoid"),
     initialised=("?", "there has been a position"),
+    bases=(BASE, (BASES,), "of the windows over which carriers are tested, the newest first"),
+    since_base="time since the newest base [s]",
     since_rtk="time since the last RTK position [s]",
     fixed_s="how long RTK has passed its tests [s]",
     conflict_s="how long Doppler and odometer have contradicted each other [s]",

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import binom
 from signal_records import rows_of
 
 from lanebound.integrity.core.records import Records
@@ -132,6 +133,87 @@ def test_velocity_is_least_squares_without_the_faulty_satellite_and_knows_what_e
             factor = np.array([[mode["l_ee"], 0.0], [mode["l_ne"], mode["l_nn"]]])
             without = covariance(variance, one, used & ~members)
             np.testing.assert_allclose((q[:2, :2] + factor @ factor.T), without[:2, :2], rtol=1e-7, atol=1e-12)
+
+
+def locked(batch: int = 1) -> Epoch:
+    """Carriers give the velocity where they have been locked for a window."""
+    return blank(batch, positioning={"doppler": {"carriers": True}})
+
+
+def follow(epoch: Epoch, epochs: range, off_m: Array, noise_m: float = 0.0) -> Array:
+    """Drive at (3, 4, 0.5) m/s with carriers that are ``off_m`` (T, S) late.  Errors (T, B, 3) of the mean velocity.
+
+    ``noise_m`` is 1 sigma at the zenith.
+    """
+    velocity, errors, rng = np.array([3.0, 4.0, 0.5]), [], np.random.default_rng(epochs.start)
+    knee = epoch.parameters["rtk"]["cn0_knee"][0]
+    sigma = noise_m * np.sqrt(0.5 * (1.0 + 1.0 / E[:, 2] ** 2) * (1.0 + 10.0 ** (0.1 * (knee - 48.0))))
+    for k in epochs:
+        late = off_m[k] + sigma * rng.standard_normal((epoch.vehicles.size, N))
+        epoch.signals["phase"] = (100.0 + 7.0 * k - E @ (velocity * DT * k) + late)[..., None]
+        epoch.signals["range_rate"] = 70.0 - E @ velocity
+        run("velocity", epoch)
+        errors.append(epoch.work["velocity"] - velocity)
+        run("carriers", epoch)
+    return np.array(errors)
+
+
+def first_test(epoch: Epoch) -> int:
+    """The epoch of the first test: a window has ended and the next one too."""
+    return 2 * round(float(epoch.parameters["doppler"]["window"][0]) / DT)
+
+
+def test_carriers_mirrored_by_one_facade_give_no_velocity() -> None:
+    epoch, drifts = locked(), np.isin(np.arange(N), (2, 3, 5))
+    begin = first_test(epoch)
+    off_m = 0.05 * np.arange(begin + 2)[:, None] * drifts  # in an epoch less than five sigma of its change
+    errors = follow(epoch, range(begin + 2), off_m)
+    assert epoch.work["by_carriers"].all()
+    used = epoch.faults["now"]["state"][0, :N] == dk.MONITORED
+    assert not (used & drifts).any()  # good carriers between them may go too
+    np.testing.assert_allclose(errors, 0.0, atol=1e-6)  # range rates before
+
+
+def test_carrier_that_begins_to_drift_is_excluded_within_a_second() -> None:
+    epoch = locked()
+    begin = first_test(epoch) + 5
+    off_m = np.zeros((begin + 11, N))
+    off_m[begin:, 3] = 0.02 * np.arange(1, 12)  # less than one sigma of a change
+    follow(epoch, range(begin), off_m)
+    assert epoch.work["satellites_doppler"].tolist() == [N]
+    follow(epoch, range(begin, begin + 11), off_m)
+    assert epoch.work["by_carriers"].all()
+    assert epoch.faults["now"]["state"][0, 3] == dk.IDLE
+
+
+def test_carriers_without_a_fault_are_excluded_at_the_stated_rate() -> None:
+    vehicles, alpha = 4000, RtkReckoningConfig().tests.alpha
+    epoch = locked(vehicles)
+    begin = first_test(epoch)
+    follow(epoch, range(begin + 2), np.zeros((begin + 2, N)), float(epoch.parameters["rtk"]["sigma_phase"][0]))
+    alarms = int((epoch.ambiguities["bases"][:, :, 1] == 0.0).any(1).sum())
+    # Global and local tests have alpha each, and share most of their alarms; the global one may name no carrier.
+    assert binom.ppf(1e-3, vehicles, 0.5 * alpha) < alarms < binom.ppf(1.0 - 1e-3, vehicles, 2.0 * alpha)
+
+
+@pytest.mark.parametrize(("off_deg", "taken"), [(0.0, True), (2.0, False)])
+def test_carriers_that_go_aside_of_gyro_and_odometer_give_no_velocity(off_deg: float, taken: bool) -> None:
+    epoch = locked()
+    begin = first_test(epoch)
+    epoch.vehicles["heading"]["angle"] = math.atan2(3.0, 4.0) + math.radians(off_deg)
+    epoch.vehicles["heading"]["p_hh"], epoch.observed["speed"] = math.radians(0.2) ** 2, 5.0
+    errors = follow(epoch, range(begin + 12), np.zeros((begin + 12, N)))
+    assert epoch.work["by_carriers"][0] == taken
+    np.testing.assert_allclose(errors, 0.0, atol=1e-6)
+
+
+def test_carriers_that_contradict_each_other_leave_the_velocity_to_range_rates() -> None:
+    epoch = locked()
+    begin = first_test(epoch)
+    off_m = 0.5 * np.arange(begin + 2)[:, None] * np.random.default_rng(3).standard_normal(N)
+    errors = follow(epoch, range(begin + 2), off_m)
+    assert not epoch.work["by_carriers"].any()
+    np.testing.assert_allclose(errors, 0.0, atol=1e-6)
 
 
 def test_heading_follows_the_gyro_the_course_of_doppler_and_is_held_at_rest() -> None:
