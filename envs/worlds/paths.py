@@ -319,6 +319,6 @@ class Path:
         return into, right
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=512)  # a corridor with tolls has 40
 def _shared(start: Pose, pieces: tuple[Piece, ...]) -> Path:
     return Path(start, pieces)

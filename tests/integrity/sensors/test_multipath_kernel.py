@@ -25,7 +25,7 @@ LOOPS = Loops(L1_M, CHIP_M, 0.1, 1.0, 15.0)
 
 def arrivals_of(*rows: tuple[float, float, float, float]) -> Any:
     """Records ARRIVAL from rows (amplitude, phase, excess, rate), new in this epoch."""
-    return np.array([(*row, row[2], 0.0) for row in rows], dtype=ARRIVAL)
+    return np.array([(*row, row[2], 0.0, 0.0) for row in rows], dtype=ARRIVAL)
 
 
 def discriminator(t: np.ndarray, weights: list[float], delays: list[float], half: float) -> np.ndarray:
