@@ -174,7 +174,8 @@ def _levels(c: ObservationConfig) -> list[Entry]:
         *(g.flag(f"mode_{m.key}", f"source of the position: {m.label}", f"belief.mode == {int(m)}")
           for m in Mode if not m.is_service or m.key in c.shown_services),
         *(g.flag(f"rtk_{r.name.lower()}", r.value + RTK_MORE.get(r, ""), f"belief.rtk == {r.code}") for r in RtkStatus),
-        g.positive("since_rtk", "s", most, "time since the last RTK position; 1 before the first one",
+        g.positive("since_rtk", "s", most,
+                   "time since the last position of RTK or of a service; 1 before the first one",
                    "belief.since_rtk_s"),
         g.positive("since_calibration", "s", most, "time since the last heading calibration; 1 before the first one",
                    "belief.since_calibration_s"),
