@@ -83,7 +83,7 @@ class ClockReader(Reader):
                 return self._level(observation, axis) / super().value(observation, f"integrity.al_{axis}")
             if name == "alert":
                 return self._alert(observation).astype(np.float64)
-            if name == "alert_age":  # a timer: services renew the position, so that its age does not stop the car
+            if name == "alert_age":  # services renew the position, so that only this timer can stop the car for good
                 return np.where(self._alert(observation), super().value(observation, column), 0.0)
             if name == "roads_agree":
                 return (~self._alert(observation)).astype(np.float64)
@@ -114,7 +114,8 @@ class ClockReader(Reader):
 class ClockAware(IntegrityAware):
     """The integrity-aware driver by a clock: what it does better with the navigator's levels, these decide.
 
-    It reads alert limits, the time since RTK and the predicted sky, no protection level and no alert.
+    It reads alert limits, the time since RTK, the predicted sky and, while its own alert is on, the age of the
+    navigator's alert; no protection level.
     """
 
     NEEDED: ClassVar[Sequence[str]] = (*IntegrityAware.NEEDED, "integrity.al_at", "integrity.al_ct")

@@ -28,6 +28,7 @@ from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.clock import AGES_S, AXES
 from lanebound.agents.episodes.opening import full_id, open_env
 from lanebound.agents.report.pages import Table
+from lanebound.agents.serialization import finite_or_none
 from lanebound.agents.studies.limits import first_episodes
 from lanebound.agents.studies.study import claim, parts_of, stored
 from lanebound.envs import make_config
@@ -179,7 +180,7 @@ def _driven(
         **{name: values.tolist() for name, values in ends.items()},
         **shares,
         "causes": causes.tolist(),
-        "level_m": _finite(np.quantile(level, [0.5, 0.95], method="inverted_cdf")),
+        "level_m": finite_or_none(np.quantile(level, [0.5, 0.95], method="inverted_cdf").tolist()),
         "error_m": np.quantile(error, [0.5, 0.95, 1.0]).tolist(),
         "beyond": int(np.count_nonzero(error > level + ROUNDING_M)),
         "decisions": int(level.size),
@@ -213,11 +214,6 @@ def _medians(env: str, changes: Mapping[str, Any], count: int) -> dict[str, list
 
 def _belief(envs: Any) -> Any:
     return envs.engine.episodes.ego["belief"]
-
-
-def _finite(values: Array) -> list[float | None]:
-    """Values, None for one that is missing."""
-    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:
@@ -255,10 +251,18 @@ def _decided(found: Mapping[str, Any]) -> Table:
         verdicts = []
         for rival in rivals:
             harm, cost, speed = (sign.get((place, rival, key), 0) for key in JUDGED)
-            verdicts.append(_verdict(min(harm, cost), max(harm, cost), speed, _pace(drivers[READS], drivers[rival])))
+            verdict = _verdict(min(harm, cost), max(harm, cost), speed, _pace(drivers[READS], drivers[rival]))
+            verdicts.append(f"{verdict}{_shown(changes.get((place, rival, JUDGED[0])))}")
         rows.append((env, navigator, available, *(_harm_at(part) for part in drivers.values()), *verdicts))
     heads = ("id", "navigator", "available [%]", *(f"`{name}`" for name in found["config"]["drivers"]))
-    return (*heads, *(f"against `{rival}`" for rival in rivals)), rows
+    return (*heads, *(f"against `{rival}`; harm less its" for rival in rivals)), rows
+
+
+def _shown(change: Difference | None) -> str:
+    """The difference of the harm with its 95 % interval; nothing where no drive differs."""
+    if change is None or change.difference is None or change.low is None:
+        return ""
+    return f"; {change.difference:.2g} ({change.low:.2g} to {change.high:.2g})"
 
 
 def _sign(change: Difference, p: float) -> int:

@@ -89,6 +89,7 @@ def _take_carriers(v: int, epoch: Epoch, rows: Records) -> bool:
         outcome, _, _, _, _ = detect_and_exclude(
             rows, vehicle.heading.angle, epoch.tables.thresholds, par.doppler.fde, w.velocity, w.q
         )
+        # Carriers that contradict each other without showing which ones are wrong give no velocity in this epoch.
         consistent = consistent and outcome != UNRESOLVED
         if outcome <= EXCLUDED:
             consistent = consistent and _agrees(vehicle, b, epoch.tables.thresholds.limits[1].local, w)
@@ -214,7 +215,10 @@ def _end_of_epoch(observed: Any, w: Any) -> None:
     w.mean_e, w.mean_n = w.velocity[0], w.velocity[1]
     speed, half = math.hypot(w.mean_e, w.mean_n), 0.5 * observed.turn[2]
     if speed > LEAST_SPEED_MPS:
-        stretch = max(1.0 + 0.5 * observed.delta_v[0] / speed, 0.0)
+        forward = math.copysign(
+            1.0, observed.speed
+        )  # the force is along the body, the velocity of a reversing car is not
+        stretch = max(1.0 + 0.5 * forward * observed.delta_v[0] / speed, 0.0)
         w.velocity[0] = stretch * (math.cos(half) * w.mean_e + math.sin(half) * w.mean_n)
         w.velocity[1] = stretch * (math.cos(half) * w.mean_n - math.sin(half) * w.mean_e)
 
