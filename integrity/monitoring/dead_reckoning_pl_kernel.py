@@ -29,18 +29,7 @@ from lanebound.integrity.core.records import record
 from lanebound.integrity.core.small_matrix_kernel import cholesky_2
 from lanebound.integrity.positioning.heading_kernel import TURN
 
-__all__ = [
-    "GROWTH",
-    "STEP",
-    "reset",
-    "roll",
-    "rolled_off",
-    "shortened",
-    "sigma_and_bias",
-    "step_doppler",
-    "step_odometer",
-    "step_still",
-]
+__all__ = ["GROWTH", "STEP", "reset", "shortened", "sigma_and_bias", "step_doppler", "step_odometer", "step_still"]
 
 GROWTH = record(
     p_ee="variance of the position error, East [m^2]",
@@ -91,12 +80,6 @@ GROWTH = record(
     doppler_n="the same, North [m]",
     gyro_e="path by the gyro's history less that taken, East [m]",
     gyro_n="the same, North [m]",
-    path_e="path by odometer, signed, East; zero where the scale is not estimated [m]",
-    path_n="the same, North [m]",
-    push_e="path times specific force forward, East [m^2/s^2]",
-    push_n="the same, North [m^2/s^2]",
-    pull_e="path times specific force backward, East [m^2/s^2]",
-    pull_n="the same, North [m^2/s^2]",
     box_e="accumulated bias of either sign, East: Doppler, and that of the last RTK fix [m]",
     box_n="the same, North [m]",
 )
@@ -126,7 +109,6 @@ def reset(cov_ee: float, cov_en: float, cov_nn: float, bias_e: float, bias_n: fl
     g.run_e, g.run_n, g.bow_ss_e, g.bow_ss_n = 0.0, 0.0, 0.0, 0.0
     g.bow_sb_e, g.bow_sb_n, g.bow_bb_e, g.bow_bb_n = 0.0, 0.0, 0.0, 0.0
     g.doppler_e, g.doppler_n, g.gyro_e, g.gyro_n = 0.0, 0.0, 0.0, 0.0
-    g.path_e, g.path_n, g.push_e, g.push_n, g.pull_e, g.pull_n = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 @jit
@@ -262,30 +244,6 @@ def step_odometer(
     g.nn_n += across_n * turn.mean_noise[1]
     g.od_e += along_e * sigma
     g.od_n += along_n * sigma
-
-
-@jit
-def roll(east: float, north: float, force: float, g: Any) -> None:
-    """Add a path (east, north) by the odometer [m], under a specific force forward [m/s^2]."""
-    g.path_e += east
-    g.path_n += north
-    if force > 0.0:
-        g.push_e += force * east
-        g.push_n += force * north
-    else:
-        g.pull_e -= force * east
-        g.pull_n -= force * north
-
-
-@jit
-def rolled_off(sine: float, cosine: float, scale: float, slip: float, g: Any) -> float:
-    """Bound on the axis (sine, cosine) of the error by the wheels [m]: of their scale, and of slip by the force.
-
-    Driving and braking wheels may slip by any share of ``slip`` [s^2/m] each.
-    """
-    push, pull = sine * g.push_e + cosine * g.push_n, sine * g.pull_e + cosine * g.pull_n
-    most = max(abs(push), abs(pull), abs(push - pull))
-    return float(scale * abs(sine * g.path_e + cosine * g.path_n) + slip * most)
 
 
 @jit

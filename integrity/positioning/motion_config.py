@@ -6,13 +6,11 @@ configured in :mod:`lanebound.integrity.sensors`; a protection level is honest w
 
 from __future__ import annotations
 
-from typing import Literal
-
 from pydantic import Field, field_validator
 
 from lanebound.integrity.core.config import Config
 
-__all__ = ["DeadReckoningConfig", "DopplerConfig", "HeadingConfig", "OdometerWatchConfig", "WheelScaleConfig"]
+__all__ = ["DeadReckoningConfig", "DopplerConfig", "HeadingConfig", "OdometerWatchConfig"]
 
 
 class DopplerConfig(Config):
@@ -100,45 +98,6 @@ class OdometerWatchConfig(Config):
     agree_s: float = Field(2.0, ge=0, description="how long Doppler must agree until the doubt ends [s]")
 
 
-class WheelScaleConfig(Config):
-    """How the odometer's scale is estimated between RTK positions (:mod:`.wheel_scale_kernel`)."""
-
-    windows: int = Field(
-        24, ge=4, le=32, description="windows that an estimate is made of [-]; 720 m, chosen on streets of seed 17"
-    )
-    length_m: float = Field(
-        30.0, ge=10, description="shortest window [m]; chosen on them: known sooner than with 50 m, as exact at the end"
-    )
-    bend_deg: float = Field(
-        2.0, gt=0, le=10, description="largest range of headings in a window [deg]; shortens it by 0.06 % at most"
-    )
-    min_speed_mps: float = Field(
-        1.0, gt=0, description="lowest speed in a window [m/s]; slower, pulses may be missing; chosen"
-    )
-    slip_s2_per_m: float = Field(
-        0.002, ge=0, description="bound of the wheels' slip per specific force [s^2/m]; as rtk.drift.slip_s2_per_m"
-    )
-    drift_per_s: float = Field(
-        3e-6,
-        ge=0,
-        description="bound of the change of the scale with time [1/s]; 0.3 % with a time constant of 1000 s, tyres "
-        "that warm up by 30 K; no trend in two recorded drives (tests/helpers/obd_scale.py)",
-    )
-    change: float = Field(
-        0.002,
-        ge=0,
-        description="bound of its change by load or pressure [-]; 150 kg on an axle compress tyres of 200 N/mm by "
-        "3.7 mm each, and the rolling radius of 310 mm by a sixth of it",
-    )
-    false_window: float = Field(
-        5e-4,
-        ge=0,
-        lt=1,
-        description="probability that wheels slip in a window beyond that bound [-]; 0.1 an hour (default fault "
-        "prior) for 18 s",
-    )
-
-
 class DeadReckoningConfig(Config):
     """Declared errors of dead reckoning with heading and odometer."""
 
@@ -150,12 +109,6 @@ class DeadReckoningConfig(Config):
     odometer_scale: float = Field(
         0.0135, ge=0, description="bound of the odometer's scale error [-]; 4.5 sigma of 0.3 % tyre wear and pressure"
     )
-    scale: Literal["declared", "estimated"] = Field(
-        "declared",
-        description="declared: odometer_scale bounds the scale; estimated: displacements of RTK do, once they bound it "
-        "better",
-    )
-    estimate: WheelScaleConfig = WheelScaleConfig()
     standstill_speed_mps: float = Field(
         0.15, ge=0, description="speed that the odometer may show as rest [m/s]; dropout of its sensor"
     )
@@ -166,8 +119,3 @@ class DeadReckoningConfig(Config):
         0.004, ge=0, description="growth of that bound since calibration [deg/s]; S1 section 4"
     )
     watch: OdometerWatchConfig = OdometerWatchConfig()
-
-    @property
-    def windows(self) -> int:
-        """Windows of which the scale is estimated; 0 where it is declared."""
-        return self.estimate.windows if self.scale == "estimated" else 0

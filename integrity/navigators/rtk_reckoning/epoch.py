@@ -71,7 +71,6 @@ STAGES: tuple[Listed | Point | str, ...] = (
     Listed("jump", "monitor", "fixed, levels, backup", "accepted", kernels.judge_fix),
     Listed("heading doubt", "monitor", "fixed, both paths", "doubt, heading", kernels.judge_histories),
     Point.JUDGED,
-    Listed("wheel scale", "estimator", "fixed, speed, turn", "wheels, windows", kernels.learn_scale),
     Listed("take", "position", "accepted, fixed", "position, starts, growth", kernels.take_fix),
     Point.TAKEN,
     Listed("widen", "monitor", "jump, fixed_levels", "levels", kernels.widen_levels),

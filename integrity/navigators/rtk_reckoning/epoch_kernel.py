@@ -23,7 +23,6 @@ from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import (
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.rtk_reckoning.report_kernel import report, take_fix
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
-from lanebound.integrity.navigators.rtk_reckoning.scale_stage_kernel import learn_scale
 from lanebound.integrity.navigators.rtk_reckoning.velocity_kernel import find_velocity
 
 __all__ = [
@@ -40,7 +39,6 @@ __all__ = [
     "follow_histories",
     "judge_fix",
     "judge_histories",
-    "learn_scale",
     "locate",
     "report",
     "resolve_integers",
@@ -73,7 +71,6 @@ def locate(first: int, last: int, epoch: Epoch) -> None:
     find_reckoned_levels(first, last, epoch)
     judge_fix(first, last, epoch)
     judge_histories(first, last, epoch)
-    learn_scale(first, last, epoch)
     take_fix(first, last, epoch)
     widen_levels(first, last, epoch)
     report(first, last, epoch)

@@ -10,7 +10,7 @@ from typing import Any
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, rolled_off, shortened, sigma_and_bias
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, shortened, sigma_and_bias
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
     exposure,
     forget_separation,
@@ -28,7 +28,6 @@ __all__ = [
     "later_by",
     "levels_since_fix",
     "restart",
-    "scale_bound",
 ]
 
 
@@ -38,14 +37,6 @@ def heading_bias(vehicle: Any, rules: Any) -> float:
     if not vehicle.since_calibration < math.inf:
         return math.pi
     return float(min(rules.heading_bias + rules.heading_drift * vehicle.since_calibration, math.pi))
-
-
-@jit
-def scale_bound(wheels: Any, start: Any, rules: Any) -> float:
-    """Bound of the odometer's scale error for a case: that of its estimate, else the one declared [-]."""
-    if not wheels.known:
-        return float(rules.scale)
-    return float(start.scale + rules.estimate.drift * (wheels.time_s - wheels.since_s))
 
 
 @jit
@@ -66,9 +57,7 @@ def find_reckoned_levels(first: int, last: int, epoch: Epoch) -> None:
         # Without a first position, a healthy odometer or a heading nothing bounds the error: the levels stay infinite.
         if vehicle.initialised and not vehicle.unbounded and vehicle.since_calibration < math.inf:
             growth, starts, separations = vehicle.growth[LATEST], epoch.starts[v, LATEST], epoch.faults[v].latest
-            levels_since_fix(
-                growth, starts, separations, tables, par, vehicle.wheels, w.sin_h, w.cos_h, w.later, levels
-            )
+            levels_since_fix(growth, starts, separations, tables, par.risk, w.sin_h, w.cos_h, w.later, levels)
             cover_histories(vehicle.doubt, tables, levels)
 
 
@@ -84,22 +73,21 @@ def cover_histories(doubt: Any, tables: Tables, levels: Array) -> None:
 
 @jit(borrows=True)
 def levels_since_fix(
-    growth: Any, starts: Records, separations: Records, tables: Tables, par: Any, wheels: Any, sin_h: float,
-    cos_h: float, later: float, pl: Array,
+    growth: Any, starts: Records, separations: Records, tables: Tables, risk: Any, sin_h: float, cos_h: float,
+    later: float, pl: Array,
 ) -> None:  # fmt: skip
     """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case, into pl (R, 2) [m].
 
-    growth of GROWTH; starts (R,) of START; separations (M,) of SEPARATION; wheels of WHEEL_SCALE.
+    growth of GROWTH; starts (R,) of START; separations (M,) of SEPARATION.
 
     Exact levels also bound a fault of any satellite or system in the Doppler velocities since the fix and in the
     heading that they calibrated, by the separation that it has caused
     (:mod:`~lanebound.integrity.monitoring.doppler_separation_kernel`). ``later`` >= 1 raises the priors by the faults
-    that began since. They also bound how much wrong headings have shortened the path (:func:`shortened`). Where the
-    scale of the wheels is estimated, its error and slip are bounded for each case (:func:`scale_bound`). Of the error
+    that began since. They also bound how much wrong headings have shortened the path (:func:`shortened`). Of the error
     that the reference gave to the RTK position exact levels take the bound on each axis, published ones equal
     components on E and N.
     """
-    cases, risk, rules = tables.cases, par.risk, par.odometer
+    cases = tables.cases
     total, squares, lost = exposure(tables.prior, separations)
     total, squares, lost = later * total, later * later * squares, later * lost
     pair = 0.5 * (total * total - squares) if risk.multiple else 0.0
@@ -110,13 +98,10 @@ def levels_since_fix(
         if not start.whole_first < math.inf:
             pl[r, 0], pl[r, 1] = math.inf, math.inf
             continue
-        of_scale = scale_bound(wheels, start, rules)
-        slip = rules.estimate.slip if wheels.known else 0.0
         for q in range(2):
-            by_wheels = rolled_off(axis_sine[q], axis_cosine[q], of_scale, slip, growth) if rules.estimated else 0.0
             if case.published:
                 level = case.k_dead[q] * published_bias[q] + published_bias[2 + q]
-                pl[r, q] = level + by_wheels + risk.reference_bias / math.sqrt(2.0)
+                pl[r, q] = level + risk.reference_bias / math.sqrt(2.0)
                 continue
             sine, cosine, share = axis_sine[q], axis_cosine[q], risk.at_share if q == 0 else 1.0 - risk.at_share
             k_0, k_f = case.k_dead[q], -math.inf
@@ -133,7 +118,7 @@ def levels_since_fix(
                 worst = worst_separation(sine, cosine, sigma_bias[q], by_heading, k_f, separations)
                 level = max(level, worst + whole)
             bow = shortened(sine, cosine, max(k_0, k_f) if k_f < math.inf else k_0, growth)
-            pl[r, q] = level + sigma_bias[2 + q] + bow + risk.reference_bias + aside(sine, cosine, growth) + by_wheels
+            pl[r, q] = level + sigma_bias[2 + q] + bow + risk.reference_bias + aside(sine, cosine, growth)
 
 
 @jit(borrows=True)

@@ -11,8 +11,8 @@ import math
 from typing import Any
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import roll, step_doppler, step_odometer, step_still
-from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias, scale_bound
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import step_doppler, step_odometer, step_still
+from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Array, Epoch
 from lanebound.integrity.positioning.codes_kernel import DOPPLER, IMU_ODOMETER, NONE, UNDECIDED
 
@@ -32,12 +32,11 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
             continue
         if not vehicle.since_rtk <= par.modes.doppler_max_s:
             continue
-        scale = scale_bound(vehicle.wheels, epoch.starts[v, LATEST, 0], par.odometer)
         # Changes of carriers add up to less than any odometer in seconds, although one of them is as noisy.
         if (
             par.modes.doppler_if_tighter
             and not w.by_carriers
-            and not doppler_is_tighter(w, vehicle, epoch.observed[v].speed, scale, epoch.tables.cases[0].k_dead, par)
+            and not doppler_is_tighter(w, vehicle, epoch.observed[v].speed, epoch.tables.cases[0].k_dead, par)
         ):
             continue
         w.mode, w.integrates = DOPPLER, not w.resting
@@ -55,21 +54,21 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
 
 
 @jit
-def doppler_is_tighter(w: Any, vehicle: Any, speed: float, scale: float, k_md: Array, par: Any) -> bool:
+def doppler_is_tighter(w: Any, vehicle: Any, speed: float, k_md: Array, par: Any) -> bool:
     """Whether the bound of the Doppler velocity is smaller than that of gyro and odometer, squared and over both axes.
 
     Doppler: ``K^2 (q_EE + q_NN)`` and its bias; gyro and odometer: ``v (K_CT sigma_theta + b_theta)`` across and ``K_AT
-    sigma_v + b_v + b_s v`` along, with the bound ``scale`` b_s, infinite while the odometer is doubted. Bounds of one
-    epoch are compared: in long outages the error of Doppler grows with the root of time, that of the heading with time.
-    Nothing of the errors themselves enters. A reflected range rate moves a Doppler position by metres in seconds; the
-    heading that it calibrated averages it.
+    sigma_v + b_v`` along, infinite while the odometer is doubted. Bounds of one epoch are compared: in long outages the
+    error of Doppler grows with the root of time, that of the heading with time. Nothing of the errors themselves
+    enters. A reflected range rate moves a Doppler position by metres in seconds; the heading that it calibrated
+    averages it.
     """
     if vehicle.watch.doubted:
         return True
     rules, k = par.odometer, max(k_md[0], k_md[1])
     doppler = k * math.sqrt(w.q[0, 0] + w.q[1, 1]) + math.sqrt(2.0) * par.doppler.bias
     across = abs(speed) * (k_md[1] * math.sqrt(vehicle.heading.p_hh) + heading_bias(vehicle, rules))
-    along = k_md[0] * rules.sigma + rules.bias + scale * abs(speed)
+    along = k_md[0] * rules.sigma + rules.bias + rules.scale * abs(speed)
     return bool(doppler * doppler < across * across + along * along)
 
 
@@ -87,17 +86,13 @@ def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
             stand(par, w, vehicle)
             continue
         s, c, speed = math.sin(w.middle), math.cos(w.middle), epoch.observed[v].speed
-        w.run = par.dt * speed * (1.0 + vehicle.wheels.scale)
+        w.run = par.dt * speed
         move(vehicle, w.run * s, w.run * c)
-        # An estimated scale has a bound for each case, which the levels count by the path since the RTK position.
-        scale = 0.0 if rules.estimated else rules.scale
-        b_theta, bias = heading_bias(vehicle, rules), rules.bias + scale * abs(speed)
+        b_theta, bias = heading_bias(vehicle, rules), rules.bias + rules.scale * abs(speed)
         aside = _slip_bound(vehicle.heading, par, speed, w.turning)
         for k in range(2):
             g = vehicle.growth[k]
             step_odometer(w.step, speed, s, c, rules.sigma, bias, b_theta, g)
-            if rules.estimated:
-                roll(w.run * s, w.run * c, epoch.observed[v].delta_v[0] / par.dt, g)
             g.box_e += aside * abs(w.cos_h)
             g.box_n += aside * abs(w.sin_h)
 

@@ -186,7 +186,7 @@ def _use_backup(
         return
     later = later_by(backup.age, vehicle.memory_s, par.risk.fault_duration)
     growth, separations = vehicle.growth[BACKUP], faults.backup
-    levels_since_fix(growth, starts[BACKUP], separations, tables, par, vehicle.wheels, sin_h, cos_h, later, levels)
+    levels_since_fix(growth, starts[BACKUP], separations, tables, par.risk, sin_h, cos_h, later, levels)
     if vehicle.jump.drifts or contradicts(east, north, sin_h, cos_h, levels[0], found[0]):
         vehicle.position[0], vehicle.position[1] = backup.position[0], backup.position[1]
         vehicle.since_rtk, vehicle.separated = backup.age, True

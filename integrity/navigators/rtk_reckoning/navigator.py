@@ -35,7 +35,6 @@ from lanebound.integrity.positioning.drift_watch_kernel import ANCHOR
 from lanebound.integrity.positioning.float_filter_kernel import MEASURED, SLOT, STATES, FloatFilters
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY
-from lanebound.integrity.positioning.wheel_scale_kernel import WHEEL_WINDOW
 from lanebound.integrity.sensors.finite import with_finite
 from lanebound.integrity.sensors.instruments import observed
 from lanebound.integrity.sensors.observed_kernel import OBSERVED_SIGNAL, OBSERVED_VEHICLE
@@ -63,9 +62,7 @@ class RtkReckoningNavigator(Navigator):
     def initial_belief(self, batch: int) -> State:
         """Nothing is known but the bounds of the heading and of the gyro bias."""
         rtk = self.config.positioning.rtk
-        windows = self.config.positioning.dead_reckoning.windows
-        sizes = batch, len(self.track.system), self._tables.prior.size, len(self.config.cases)
-        belief = blank_state(*sizes, rtk, windows)
+        belief = blank_state(batch, len(self.track.system), self._tables.prior.size, len(self.config.cases), rtk)
         vehicles, heading = belief.vehicles, self.config.positioning.heading
         vehicles["heading"]["p_hh"] = np.deg2rad(heading.initial_sigma_deg) ** 2
         vehicles["heading"]["p_bb"] = heading.bias_initial_radps**2
@@ -154,12 +151,11 @@ def give_heading(heading: Records, angle_rad: Array, sigma_rad: float) -> None:
         heading[name] = 0.0
 
 
-def blank_state(batch: int, satellites: int, modes: int, cases: int, rtk: RtkConfig, windows: int = 0) -> State:
-    """The state of vehicles, all zeros; ``modes`` is the number of fault modes, ``windows`` that of the scale's."""
+def blank_state(batch: int, satellites: int, modes: int, cases: int, rtk: RtkConfig) -> State:
+    """The state of vehicles, all zeros; ``modes`` is the number of fault modes."""
     return State(
         np.zeros(batch, VEHICLE), np.zeros((batch, satellites), AMBIGUITY), np.zeros((batch, modes), FAULT),
-        np.zeros((batch, 2, cases), START), np.zeros((batch, rtk.drift.anchors), ANCHOR),
-        np.zeros((batch, windows, cases), WHEEL_WINDOW), blank_filters(batch, rtk),
+        np.zeros((batch, 2, cases), START), np.zeros((batch, rtk.drift.anchors), ANCHOR), blank_filters(batch, rtk),
     )  # fmt: skip
 
 

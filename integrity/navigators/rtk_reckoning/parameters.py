@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring.alerts import alert_parameters
 from lanebound.integrity.monitoring.detection_kernel import Thresholds
@@ -27,7 +26,6 @@ from lanebound.integrity.positioning.parameters import (
 )
 from lanebound.integrity.positioning.rtk_config import RtkConfig
 from lanebound.integrity.positioning.rtk_kernel import SATELLITE
-from lanebound.integrity.positioning.wheel_scale_kernel import SCALE_RULES
 from lanebound.integrity.sky.systems import FIXABLE, WAVELENGTH_M
 
 if TYPE_CHECKING:
@@ -115,16 +113,6 @@ def _odometer_rules(o: DeadReckoningConfig) -> Records:
         tau=o.odometer_tau_s,
         bias=o.odometer_bias_mps,
         scale=o.odometer_scale,
-        estimated=o.windows > 0,
-        estimate=one_record(
-            SCALE_RULES,
-            length=o.estimate.length_m,
-            bend=np.deg2rad(o.estimate.bend_deg),
-            min_speed=o.estimate.min_speed_mps,
-            slip=o.estimate.slip_s2_per_m,
-            drift=o.estimate.drift_per_s,
-            change=o.estimate.change,
-        ),
         still_speed=o.standstill_speed_mps,
         heading_bias=np.deg2rad(o.heading_bias_deg),
         heading_drift=np.deg2rad(o.heading_drift_degps),
@@ -162,7 +150,7 @@ def epoch_tables(c: RtkReckoningConfig, system: NDArray[np.int64]) -> rk.Tables:
     return rk.Tables(
         satellite_table(system, wavelength, FIXABLE[system], c.risk),
         mode_priors(system, c.risk),
-        case_table(c.cases, c.risk, spent, p.dead_reckoning),
+        case_table(c.cases, c.risk, spent),
         *separation_thresholds(c, len(system)),
     )
 
@@ -182,28 +170,11 @@ def mode_priors(system: NDArray[np.int64], risk: RiskConfig) -> NDArray[np.float
     return np.concatenate([risk.priors()[0][system], risk.doppler_priors()[: int(system.max(initial=-1)) + 1]])
 
 
-def case_table(
-    cases: tuple[PlCase, ...], risk: RiskConfig, spent: float, reckoning: DeadReckoningConfig | None = None
-) -> Records:
-    """The levels to report (R,) of CASE; ``spent`` is the risk of dead reckoning that is spent otherwise.
-
-    Where the odometer's scale is estimated, the risk of three false windows is spent too, ``(N p)^3 / 6``: p that the
-    wheels slip or one of two RTK positions is beyond its level.
-    """
+def case_table(cases: tuple[PlCase, ...], risk: RiskConfig, spent: float) -> Records:
+    """The levels to report (R,) of CASE; ``spent`` is the risk of dead reckoning that is spent otherwise."""
     total = np.array([case.integrity_risk for case in cases])
     published = np.array([case.variant is Variant.PUBLISHED for case in cases])
-    left = total
-    if reckoning is not None and reckoning.windows > 0:
-        false = (reckoning.windows * (reckoning.estimate.false_window + 2.0 * total)) ** 3 / 6.0
-        left = total - false
-        for allowed, lost in zip(total, false, strict=True):
-            if lost > 0.5 * allowed:  # what remains would make all other levels wider than a declared scale does
-                raise ConfigError(
-                    f"dead_reckoning.scale must be declared at a risk of {allowed:g}, three false windows take "
-                    f"{lost:.1e}: set it so, or lower dead_reckoning.estimate.false_window "
-                    f"({reckoning.estimate.false_window:g})"
-                )
-    budgets = risk.axis_budgets(left, spent)
+    budgets = risk.axis_budgets(total, spent)
     out = np.zeros(len(cases), rk.CASE)
     out["risk"], out["published"], out["budget"], out["k_published"] = total, published, budgets, upper_quantile(total)
     out["form"] = [_form(case) for case in cases]

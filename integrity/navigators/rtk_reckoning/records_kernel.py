@@ -23,7 +23,6 @@ from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
 from lanebound.integrity.positioning.odometer_watch_kernel import ODOMETER_WATCH, WATCH_LIMITS
 from lanebound.integrity.positioning.rtk_kernel import BASES, RTK_RULES
 from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES, SLIP_WATCH
-from lanebound.integrity.positioning.wheel_scale_kernel import SCALE_RULES, WHEEL_SCALE
 
 __all__ = [
     "CASE",
@@ -73,9 +72,7 @@ ODOMETER_RULES = record(
     sigma="odometer speed, 1 sigma [m/s]",
     tau="correlation time of its error [s]",
     bias="bound of a constant error [m/s]",
-    scale="declared bound of the scale error [-]",
-    estimated=("?", "RTK displacements bound it once they do so better"),
-    estimate=(SCALE_RULES, "how"),
+    scale="bound of the scale error [-]",
     still_speed="speed that the odometer may show as rest [m/s]",
     heading_bias="bound of the heading's error after calibration [rad]",
     heading_drift="growth of that bound [rad/s]",
@@ -191,7 +188,6 @@ VEHICLE = record(
     backup=(BACKUP_STATE, "backup solution"),
     jump=(JUMP, "jump monitor"),
     watch=(ODOMETER_WATCH, "odometer watch"),
-    wheels=(WHEEL_SCALE, "estimate of the odometer's scale"),
     alert=(ALERT, "alert"),
     growth=(GROWTH, (2,), "of the errors of dead reckoning, LATEST and BACKUP"),
     drift=(DRIFT, "drift watch"),
@@ -206,7 +202,6 @@ START = record(
     bias_second="the same, second axis [m]",
     whole_first="bound of the whole error, first axis; inf without a level [m]",
     whole_second="the same, second axis [m]",
-    scale="bound of the error of the odometer's estimated scale [-]",
 )
 """What the last RTK position left to the levels of one case."""
 
@@ -225,8 +220,8 @@ class State(NamedTuple):
     """What lasts of B vehicles.
 
     vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; faults (B, M) of FAULT; starts (B, 2, R) of START, for
-    LATEST and BACKUP; anchors (B, A) of ANCHOR, of the drift watch; windows (B, W, R) of WHEEL_WINDOW, W = 0 where the
-    scale is declared; filters of the float ambiguities, None where they come from single epochs.
+    LATEST and BACKUP; anchors (B, A) of ANCHOR, of the drift watch; filters of the float ambiguities, None where
+    they come from single epochs.
     """
 
     vehicles: Records
@@ -234,7 +229,6 @@ class State(NamedTuple):
     faults: Records
     starts: Records
     anchors: Records
-    windows: Records
     filters: FloatFilters | None
 
 
@@ -356,7 +350,6 @@ class Epoch(NamedTuple):
     faults: Records
     starts: Records
     anchors: Records
-    windows: Records
     filters: FloatFilters | None
     signals: Records
     observed: Records

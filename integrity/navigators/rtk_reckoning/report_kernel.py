@@ -12,7 +12,6 @@ from lanebound.integrity.monitoring.jump_kernel import is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import cover_histories, restart
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import copy_reckoning, reference_point
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Epoch
-from lanebound.integrity.navigators.rtk_reckoning.scale_stage_kernel import adopt_scale
 from lanebound.integrity.positioning.codes_kernel import CODE, DOPPLER, NONE, RTK
 
 __all__ = ["report", "take_fix"]
@@ -37,8 +36,6 @@ def take_fix(first: int, last: int, epoch: Epoch) -> None:
                 vehicle.backup.position[0], vehicle.backup.position[1] = vehicle.position[0], vehicle.position[1]
                 vehicle.backup.age = 0.0
                 copy_reckoning(LATEST, BACKUP, vehicle, epoch.starts[v], epoch.faults[v])
-                if par.odometer.estimated:
-                    adopt_scale(vehicle, epoch.starts[v], epoch.windows[v], tables.cases, par.odometer)
         elif par.cold and w.fixed.coded and not vehicle.initialised:
             w.mode, g = CODE, vehicle.growth[LATEST]
             vehicle.position[0], vehicle.position[1] = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)

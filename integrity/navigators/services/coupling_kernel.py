@@ -236,10 +236,8 @@ def propose(v: int, epoch: Epoch, service_cases: Any, coupling: Coupling, a: Arr
     g.p_ee, g.p_en, g.p_nn = old[0] + after.held_ee, old[1] + after.held_en, old[2] + after.held_nn
     for r in range(levels.shape[0]):
         start_levels(v, r, epoch, service_cases, coupling, a, part)
-    levels_since_fix(
-        g, coupling.starts[v], separations, epoch.tables, epoch.parameters[0], vehicle.wheels, w.sin_h, w.cos_h,
-        w.later, levels,
-    )  # fmt: skip
+    risk = epoch.parameters[0].risk
+    levels_since_fix(g, coupling.starts[v], separations, epoch.tables, risk, w.sin_h, w.cos_h, w.later, levels)
 
 
 @jit
@@ -252,7 +250,6 @@ def start_levels(v: int, r: int, epoch: Epoch, service_cases: Any, coupling: Cou
     case, w, after = epoch.tables.cases[r], epoch.work[v], coupling.proposals[v].after
     start, before, e = coupling.starts[v, r], epoch.starts[v, LATEST, r], coupling.extra_after[v, r]
     old, m = coupling.extra[v, r], np.empty((2, 2))
-    start.scale = before.scale
     if not part.extra[r, 0] + part.extra[r, 1] + old.first + old.second < math.inf:
         e.first, e.second, start.whole_first = math.inf, math.inf, math.inf
         return
@@ -309,9 +306,6 @@ def transform(a: Array, g: Any, separations: Records) -> None:
     g.cth_e, g.cth_n = xx * g.cth_e + xy * g.cth_n, yx * g.cth_e + yy * g.cth_n
     g.cv_e, g.cv_n = xx * g.cv_e + xy * g.cv_n, yx * g.cv_e + yy * g.cv_n
     g.axle_e, g.axle_n = xx * g.axle_e + xy * g.axle_n, yx * g.axle_e + yy * g.axle_n
-    g.path_e, g.path_n = xx * g.path_e + xy * g.path_n, yx * g.path_e + yy * g.path_n
-    g.push_e, g.push_n = xx * g.push_e + xy * g.push_n, yx * g.push_e + yy * g.push_n
-    g.pull_e, g.pull_n = xx * g.pull_e + xy * g.pull_n, yx * g.pull_e + yy * g.pull_n
     g.box_e, g.box_n = abs(xx) * g.box_e + abs(xy) * g.box_n, abs(yx) * g.box_e + abs(yy) * g.box_n
     g.run_e, g.run_n = abs(xx) * g.run_e + abs(xy) * g.run_n, abs(yx) * g.run_e + abs(yy) * g.run_n
     e, n = g.bow_ss_e, g.bow_ss_n

@@ -29,9 +29,7 @@ SURROGATE: dict[str, Any] = {"perception": {"others": "surrogate"}, "duration_s"
 TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
 SEQUENTIAL: dict[str, Any] = {"navigator": {"positioning": {"rtk": {"float_solution": {"kind": "sequential"}}}}}
 NEAR: dict[str, Any] = {"navigator": {"gnss": {"near_objects": {"kind": "vehicle"}}}}
-ESTIMATED: dict[str, Any] = {
-    "navigator": {"positioning": {"dead_reckoning": {"scale": "estimated"}, "doppler": {"carriers": True}}}
-}
+CARRIERS: dict[str, Any] = {"navigator": {"positioning": {"doppler": {"carriers": True}}}}
 BUDGET: dict[str, Any] = {"alert_limit": "budget"}
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
 CASES: list[tuple[str, dict[str, Any], int]] = [
@@ -49,7 +47,7 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("LaneKeeping", {"sky": "urban", "layouts": 2, "navigator": "services/rtk_dfmc"}, 15),
     ("CarFollowing", {"sky": "open", "navigator": "services/sbas_l1"}, 8),
     ("CarFollowing", {"sky": "open", **NEAR}, 8),
-    ("LaneKeeping", {"sky": "urban", "layouts": 2, **ESTIMATED}, 25),
+    ("LaneKeeping", {"sky": "urban", "layouts": 2, **CARRIERS}, 25),
     ("Highway", {**FEW, **SENSOR, **NEAR}, 5),
     ("Racetrack", {"sky": "open", "layouts": 1}, 8),
     ("Merge", {"sky": "urban", "layouts": 1, **BOTH}, 8),
@@ -129,7 +127,7 @@ def detector(kind: str) -> dict[str, Any]:
         ("Intersection", {"sky": "open", "layouts": 1, **SURROGATE, "world": {"spawn_probability": 0.5}}),
         ("Intersection", {"sky": "urban", "layouts": 2, "extent_m": 300.0, "world": {"spawn_probability": 0.6}}),
         ("LaneKeeping", {"sky": "open", "layouts": 1, "navigation": {"warm_up_s": 0.75}}),
-        ("LaneKeeping", {"sky": "open", "layouts": 1, **ESTIMATED}),
+        ("LaneKeeping", {"sky": "open", "layouts": 1, **CARRIERS}),
     ],
 )
 def test_later_episodes_are_those_of_the_single_one(name: str, config: dict[str, Any]) -> None:

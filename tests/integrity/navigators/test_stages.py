@@ -51,9 +51,7 @@ def blank(batch: int = 1, **changes: Any) -> Epoch:
     assert isinstance(config, RtkReckoningConfig)
     assert config.dt_s == DT
     tables = epoch_tables(config, SYSTEM)
-    positioning = config.positioning
-    sizes = batch, N, tables.prior.size, len(config.cases)
-    state = blank_state(*sizes, positioning.rtk, positioning.dead_reckoning.windows)
+    state = blank_state(batch, N, tables.prior.size, len(config.cases), config.positioning.rtk)
     epoch = blank_epoch(epoch_parameters(config), tables, state)
     epoch.signals["e"], epoch.signals["tracked"], epoch.signals["cn0"], epoch.observed["age"] = E, True, 48.0, 0.5
     for name in ("quality", "factor", "used", "phase_ok"):
@@ -482,27 +480,6 @@ def test_heading_doubt_ends_by_the_history_whose_path_rtk_shows() -> None:
     run("heading doubt", epoch)
     assert doubt["stage"].tolist() == [hd.NONE, hd.NONE, hd.FOLLOWS]
     assert heading["angle"].tolist() == [0.5, 0.1, 0.1]
-
-
-def test_wheel_scale_adds_a_window_between_two_accepted_positions_on_a_straight_road() -> None:
-    epoch = blank(3, positioning={"dead_reckoning": {"scale": "estimated"}})
-    wheels, w = epoch.vehicles["wheels"], epoch.work
-    w["accepted"], w["fixed"]["status"], epoch.observed["speed"], epoch.fixed_levels[:] = True, codes.FIXED, 10.0, 0.04
-    run("wheel scale", epoch)
-    assert wheels["open"].all()
-    epoch.vehicles["watch"]["doubted"] = False, False, True
-    for k in range(31):
-        w["turning"][1] = 0.5 if k == 20 else 0.0
-        w["accepted"] = k == 30
-        w["fixed"]["position"][:, 1] = 1.01 * (k + 1)  # North; the wheels count 1 m of 1.01 m
-        run("wheel scale", epoch)
-    window = epoch.windows[0, 0, 0]
-    assert wheels["count"].tolist() == [1, 0, 0]  # the others have turned by 2.9 degrees, or their odometer is doubted
-    assert [window["path"], window["misfit"]] == pytest.approx([31.0, 0.31])
-    par = epoch.parameters[0]["odometer"]
-    assert window["variance"] == pytest.approx(2.0 * par["sigma"] ** 2 * par["tau"] * 3.1)
-    assert window["bound"] == pytest.approx(0.08 + par["bias"] * 3.1)
-    assert wheels["open"].tolist() == [True, True, False]
 
 
 def test_take_replaces_the_position_and_restarts_dead_reckoning_with_what_its_level_promised() -> None:

@@ -63,20 +63,20 @@ def test_the_smaller_bound_decides(sigma_v: float, sigma_heading: float, speed: 
     w = SimpleNamespace(q=sigma_v**2 * np.eye(4))
     vehicle = vehicle_of(sigma_heading, 5.0)
     doppler, odometer = bounds(sigma_v, sigma_heading, speed)
-    assert plain(w, vehicle, speed, par.odometer.scale, K_MD, par) == (doppler < odometer)
+    assert plain(w, vehicle, speed, K_MD, par) == (doppler < odometer)
 
 
 def test_an_unknown_heading_leaves_the_position_to_doppler(plain: Any) -> None:
     par = declared()
     w = SimpleNamespace(q=np.eye(4))
     vehicle = vehicle_of(0.0, math.inf)
-    assert plain(w, vehicle, 13.0, par.odometer.scale, K_MD, par)
+    assert plain(w, vehicle, 13.0, K_MD, par)
 
 
 def test_a_doubted_odometer_leaves_the_position_to_doppler(plain: Any) -> None:
     w = SimpleNamespace(q=np.eye(4))
-    assert not plain(w, vehicle_of(1e-3, 5.0), 1.0, 0.01, K_MD, declared())
-    assert plain(w, vehicle_of(1e-3, 5.0, doubted=True), 1.0, 0.01, K_MD, declared())
+    assert not plain(w, vehicle_of(1e-3, 5.0), 1.0, K_MD, declared())
+    assert plain(w, vehicle_of(1e-3, 5.0, doubted=True), 1.0, K_MD, declared())
 
 
 def test_the_velocity_of_an_epoch_by_odometer_counts_in_the_next_trapezoid() -> None:
