@@ -9,11 +9,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation
+from lanebound.agents.drivers.base import Observation, StatelessDriver
 from lanebound.agents.drivers.crossing import crosses
 from lanebound.agents.drivers.margins import Rss, RssConfig
 from lanebound.agents.drivers.mobil import neighbours
-from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_out
+from lanebound.agents.drivers.plan import carry_out
 from lanebound.agents.drivers.plans import FREE_M, closure_gap, following_acceleration, safe_speed
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Field
@@ -245,6 +245,6 @@ class IntegrityAware(Rss):
         return np.stack([self.reader.value(observation, f"road.sky_{d:g}m_{lane}") for d in points], axis=-1)
 
 
-def make_integrity_aware(env: DrivingEnv, config: AwareConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_integrity_aware(env: DrivingEnv, config: AwareConfig | None = None) -> StatelessDriver:
     """The integrity-aware driver."""
     return carry_out(env, IntegrityAware(env, config or AwareConfig()))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from lanebound.agents.drivers.aware import AwareConfig, IntegrityAware
-from lanebound.agents.drivers.base import Observation, Reader
-from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_out
+from lanebound.agents.drivers.base import Observation, Reader, StatelessDriver
+from lanebound.agents.drivers.plan import carry_out
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.observation import ObservationConfig
 from lanebound.integrity.core.config import Field
@@ -130,6 +130,6 @@ class ClockAware(IntegrityAware):
         return slow_mps
 
 
-def make_clock(env: DrivingEnv, config: ClockConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_clock(env: DrivingEnv, config: ClockConfig | None = None) -> StatelessDriver:
     """The integrity-aware driver by a clock."""
     return carry_out(env, ClockAware(env, config or ClockConfig()))

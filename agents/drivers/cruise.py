@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from gymnasium import spaces
 
-from lanebound.agents.drivers.base import Observation
+from lanebound.agents.drivers.base import Observation, StatelessDriver
 from lanebound.agents.drivers.lateral import Array, LqrSteering, StanleySteering
-from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
+from lanebound.agents.drivers.plan import ContinuousDriver, Plan, carry_out
 from lanebound.agents.drivers.plans import CruiseConfig, idm_acceleration
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
@@ -17,12 +17,12 @@ from lanebound.integrity.core.errors import InputError
 __all__ = ["IdmPlan", "make_cruise", "make_idm", "make_lqr", "make_stanley"]
 
 
-def make_cruise(env: DrivingEnv, config: CruiseConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_cruise(env: DrivingEnv, config: CruiseConfig | None = None) -> StatelessDriver:
     """Pure pursuit, and the intelligent driver model with a safe speed; under meta-actions it never changes lane."""
     return carry_out(env, Plan(env, config or CruiseConfig()))
 
 
-def make_idm(env: DrivingEnv, config: CruiseConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_idm(env: DrivingEnv, config: CruiseConfig | None = None) -> StatelessDriver:
     """The same with the intelligent driver model as published."""
     return carry_out(env, IdmPlan(env, config or CruiseConfig()))
 

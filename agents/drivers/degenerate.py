@@ -12,10 +12,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation, Reader, Starts, States
+from lanebound.agents.drivers.base import Observation, Reader, Starts, StatelessDriver, States
 from lanebound.agents.drivers.lateral import LqrSteering
 from lanebound.agents.drivers.nominal import Nominal
-from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
+from lanebound.agents.drivers.plan import Plan, carry_out
 from lanebound.agents.drivers.plans import FREE_M, CruiseConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import duration_s
@@ -142,7 +142,7 @@ class Bank:
         return np.where(over, stop, go).astype(go.dtype), (taken + 1.0,)
 
 
-def make_constant(env: DrivingEnv, config: ConstantConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_constant(env: DrivingEnv, config: ConstantConfig | None = None) -> StatelessDriver:
     """The driver at a constant share of the limit."""
     return carry_out(env, Constant(env, config or ConstantConfig()))
 
@@ -152,7 +152,7 @@ def make_bank(env: DrivingEnv, config: BankConfig | None = None) -> Bank:
     return Bank(env, config or BankConfig())
 
 
-def make_weave(env: DrivingEnv, config: WeaveConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_weave(env: DrivingEnv, config: WeaveConfig | None = None) -> StatelessDriver:
     """The driver that weaves.
 
     Raises

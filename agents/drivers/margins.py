@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation
+from lanebound.agents.drivers.base import Observation, StatelessDriver
 from lanebound.agents.drivers.nominal import Nominal
-from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_out
+from lanebound.agents.drivers.plan import carry_out
 from lanebound.agents.drivers.plans import CruiseConfig, following_acceleration
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
@@ -113,11 +113,11 @@ class Cautious(Nominal):
         return self.config.speed_share * super().free_speed(observation)
 
 
-def make_rss(env: DrivingEnv, config: RssConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_rss(env: DrivingEnv, config: RssConfig | None = None) -> StatelessDriver:
     """The driver of RSS with protection levels."""
     return carry_out(env, Rss(env, config or RssConfig()))
 
 
-def make_cautious(env: DrivingEnv, config: CautiousConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_cautious(env: DrivingEnv, config: CautiousConfig | None = None) -> StatelessDriver:
     """The driver with constant margins: without a configuration those tuned for this world and sky, if any."""
     return carry_out(env, Cautious(env, config or TunedCaution.preset("drivers/cautious").of(env.config)))

@@ -9,11 +9,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation, Reader
+from lanebound.agents.drivers.base import Observation, Reader, StatelessDriver
 from lanebound.agents.drivers.crossing import YieldConfig, yield_speed
 from lanebound.agents.drivers.lateral import LqrSteering
 from lanebound.agents.drivers.mobil import MobilConfig, changes
-from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
+from lanebound.agents.drivers.plan import Plan, carry_out
 from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
@@ -119,12 +119,12 @@ def _cannot_slow(env: DrivingEnv) -> bool:
     return isinstance(env.action_space, spaces.Box) and not inner.longitudinal and not env.config.keep_lane
 
 
-def make_nominal(env: DrivingEnv, config: CruiseConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_nominal(env: DrivingEnv, config: CruiseConfig | None = None) -> StatelessDriver:
     """The nominal driver."""
     return carry_out(env, Nominal(env, config or CruiseConfig()))
 
 
-def make_oracle(env: DrivingEnv, config: CruiseConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_oracle(env: DrivingEnv, config: CruiseConfig | None = None) -> StatelessDriver:
     """The nominal driver where observations show the true state.
 
     Raises

@@ -104,7 +104,7 @@ class Plan:
         return np.zeros(self.reader.value(observation, "ego.speed").shape, dtype=np.int64)
 
 
-def carry_out(env: DrivingEnv, plan: Plan) -> ContinuousDriver | MetaDriver:
+def carry_out(env: DrivingEnv, plan: Plan) -> StatelessDriver:
     """The driver of a plan for the actions of an environment."""
     if isinstance(env.world.action_type, ClaimAction):
         return ClaimDriver(env, plan)
@@ -172,7 +172,7 @@ class MetaDriver(StatelessDriver):
         return np.where(lead < STANDS_MPS, np.sqrt(delay**2 + 2.0 * self._slows_mps2 * room) - delay, np.inf)
 
 
-class ClaimDriver(MetaDriver):
+class ClaimDriver(StatelessDriver):
     """Decides what is charged; the car drives by itself."""
 
     def __init__(self, env: DrivingEnv, plan: Plan) -> None:

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation
-from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
+from lanebound.agents.drivers.base import Observation, StatelessDriver
+from lanebound.agents.drivers.plan import Plan, carry_out
 from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Field
@@ -42,6 +42,6 @@ class StopOnAlert(Plan):
         return self.reader.value(observation, "integrity.alert") > 0.5
 
 
-def make_stop_on_alert(env: DrivingEnv, config: StopConfig | None = None) -> ContinuousDriver | MetaDriver:
+def make_stop_on_alert(env: DrivingEnv, config: StopConfig | None = None) -> StatelessDriver:
     """The driver that stops while an alert is on."""
     return carry_out(env, StopOnAlert(env, config or StopConfig()))
