@@ -136,7 +136,7 @@ def test_mistakes_are_answered_in_one_line(arguments, message):
 
 
 def test_faults_of_ones_own_strike_in_every_episode():
-    jamming = "kind=jamming,start_s=1,duration_s=9,magnitude_db=40"
+    jamming = "kind=jamming,start_s=2,duration_s=9,magnitude_db=40"
     result = run(
         "LaneKeeping", "--sky", "open", "--set", "world.duration=3", "--fault", jamming, "--episodes", "2", "--json"
     )
