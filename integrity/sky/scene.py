@@ -109,11 +109,14 @@ def _merged(
     found: NDArray[np.int32], figures: Callable[[NDArray[np.int64]], NDArray[np.float64]]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Indices of distinct figures in place of ``found``, -1 for none, and the figures (n, ...) of each."""
-    used, which = np.unique(found, return_inverse=True)
-    which, known = which.reshape(found.shape) - int(np.sum(used < 0)), used[used >= 0].astype(np.int64)
+    present = np.zeros(int(found.max(initial=-1)) + 2, dtype=np.bool_)
+    present[found + 1] = True
+    known = np.flatnonzero(present[1:])
     each = figures(known)
     _, first, alike = np.unique(np.round(each / ALIKE), axis=0, return_index=True, return_inverse=True)
-    return np.append(alike.reshape(-1), -1).astype(np.int32)[which], each[first]
+    numbers = np.full(present.size, -1, dtype=np.int32)
+    numbers[1 + known] = alike.reshape(-1)
+    return numbers[found + 1], each[first]
 
 
 def _turned(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -26,7 +26,6 @@ from lanebound.integrity.sky.raytrace_kernel import (
     RECEPTION,
     STRONGEST,
     MaskRows,
-    edge_rows,
     look_up_rows,
     mask_rows,
 )
@@ -353,9 +352,8 @@ def _cast(
     edge = np.empty((count, azimuths), dtype=np.int32)
     cells = cell_centres(azimuths, elevations)
     permittivity = permittivities(material_table(), RAY_HZ)[city.material]
-    arguments = cells, azimuths, elevations, permittivity, path, excess, found
-    run_rows(mask_rows, count, city.grid, antenna, *arguments, row_us=1000.0)
-    run_rows(edge_rows, count, city.grid, antenna, azimuths, elevations, path, edge, row_us=300.0)
+    arguments = cells, azimuths, elevations, permittivity, path, excess, found, edge
+    run_rows(mask_rows, count, city.grid, antenna, *arguments, row_us=300.0)
     return path[rows], excess[rows], Faces.of_triangles(city, found[rows], edge[rows])
 
 
