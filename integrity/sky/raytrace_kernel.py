@@ -21,7 +21,9 @@ __all__ = [
     "EDGE_LINE",
     "FACE",
     "MASK_RULES",
+    "PATH_BITS",
     "RECEPTION",
+    "REFLECTION",
     "STRONGEST",
     "Grid",
     "MaskRows",
@@ -84,18 +86,27 @@ RECEPTION = record(
 """How the signal of a satellite arrives."""
 
 
-class MaskRows(NamedTuple):
-    """A :class:`~lanebound.integrity.sky.visibility.SkyMask`.
+REFLECTION = record(
+    excess=("f4", "extra path of the shortest reflection [m]"),
+    face=("i4", (STRONGEST,), "indices of the faces that reflect, -1 for none"),
+)
+"""What reflects signals of a cell of the sky."""
+PATH_BITS = 2  # of the word of a cell
 
-    rules (1,) of MASK_RULES; path, excess (stations, lanes, cells); face (stations, lanes, cells, 2) indices of
-    ``faces`` (F,) of FACE, and edge (stations, lanes, azimuths) of ``edges`` (E,) of EDGE_LINE, -1 for none. Without
-    faces these two have no stations.
+
+class MaskRows(NamedTuple):
+    """A :class:`~lanebound.integrity.sky.visibility.SkyMask`: about 4 bytes for a cell, most of which reflect nothing.
+
+    rules (1,) of MASK_RULES; cell (stations, lanes, cells): the path in the last PATH_BITS, before them the number of
+    the cell among the reflecting ones of its station and lane, from 1, or 0; first (stations, lanes): where these begin
+    in ``reflection`` (R,) of REFLECTION, which name ``faces`` (F,) of FACE; edge (stations, lanes, azimuths) indices of
+    ``edges`` (E,) of EDGE_LINE, -1 for none. Without faces ``edge`` has no stations.
     """
 
     rules: Records
-    path: NDArray[np.uint8]
-    excess: NDArray[np.float32]
-    face: NDArray[np.int32]
+    cell: NDArray[np.uint16]
+    first: NDArray[np.int64]
+    reflection: Records
     edge: NDArray[np.int32]
     faces: Records
     edges: Records
@@ -636,29 +647,35 @@ def find_cells(rules, azimuth, elevation, cells):  # type: ignore[no-untyped-def
 @jit(borrows=True)
 def look_up(mask, cells, arc, lane, out):  # type: ignore[no-untyped-def]
     """Reception ``out`` (S,) of RECEPTION in the cells (S,) of a mask (MaskRows): nearest station, lane clamped."""
-    rules, stations = mask.rules[0], mask.path.shape[0]
+    rules, stations = mask.rules[0], mask.cell.shape[0]
     place = arc / rules.spacing
     if rules.closed:
         place -= math.floor(arc / rules.length) * (rules.length / rules.spacing)
         n = int(place + 0.5) % stations
     else:
         n = int(min(max(place, 0.0), stations - 1.0) + 0.5)
-    row = min(max(lane, 0), mask.path.shape[1] - 1)
+    row = min(max(lane, 0), mask.cell.shape[1] - 1)
     for s in range(cells.shape[0]):
         c, signal = cells[s], out[s]
-        signal.path, signal.excess = (mask.path[n, row, c], mask.excess[n, row, c]) if c >= 0 else (BLOCKED, 0.0)
+        signal.path, signal.excess = BLOCKED, 0.0
         signal.face[0] = signal.face[1] = signal.edge = -1
-        if c < 0 or mask.face.shape[0] == 0:
+        if c < 0:
             continue
-        for k in range(STRONGEST):
-            face = mask.face[n, row, c, k]
-            signal.face[k] = face
-            if face >= 0:
-                signal.planes[k] = mask.faces[face]
-        edge = mask.edge[n, row, c // rules.elevations]
-        signal.edge = edge
-        if edge >= 0:
-            signal.line = mask.edges[edge]
+        word = int(mask.cell[n, row, c])
+        signal.path = word & ((1 << PATH_BITS) - 1)
+        if word >> PATH_BITS > 0:
+            reflection = mask.reflection[mask.first[n, row] + (word >> PATH_BITS) - 1]
+            signal.excess = reflection.excess
+            for k in range(STRONGEST):
+                face = reflection.face[k]
+                signal.face[k] = face
+                if face >= 0:
+                    signal.planes[k] = mask.faces[face]
+        if mask.edge.shape[0] > 0:
+            edge = mask.edge[n, row, c // rules.elevations]
+            signal.edge = edge
+            if edge >= 0:
+                signal.line = mask.edges[edge]
 
 
 @jit
