@@ -105,13 +105,13 @@ def make_batch(
     vehicles : that there may be in each
     capacity : slots of the others
     """
-    cities = config.cities
-    slots = min(cities.number, count + waiting)
-    return _episodes(world, config, cities.seed_of(0), slots, range(HOURS), count, vehicles, capacity)
+    first, slots = config.cities.seed_of(0), min(config.cities.number, count + waiting)
+    streets = Streets.of(world, config)
+    return _episodes(world, config, streets, first, streets(first), slots, range(HOURS), count, vehicles, capacity)
 
 
 @dataclass(frozen=True)
-class _Streets:
+class Streets:
     """Makes the streets of cities along the roads of a world."""
 
     network: RoadNetwork
@@ -152,7 +152,9 @@ def begin_all(
 def _episodes(
     world: AbstractEnv,
     config: EnvConfig,
+    streets: Streets,
     city: int,
+    street: Street,
     slots: int,
     hours: Sequence[int],
     count: int,
@@ -161,7 +163,7 @@ def _episodes(
 ) -> Episodes:
     """N episodes at some hours, of up to V vehicles, of which C others have a slot.
 
-    city, slots : seed of the first city, and how many there are at a time
+    city, street, slots : seed of the first city, its street, and how many there are at a time
     """
     settings = navigator_config(config, alert_limits_m(world, config))
     uses_sensors = config.navigation.source.uses_sensors
@@ -174,7 +176,7 @@ def _episodes(
     if uses_sensors or navigate:
         span_s = config.navigation.warm_up_s + duration_s(config, world) + MARGIN_S
         skies = Skies.of(settings.sky, span_s, hours)
-        cities = Cities(_Streets.of(world, config), routes.table, slots, city)
+        cities = Cities(streets, routes.table, slots, city, street)
         members = 1 + (capacity if navigate else 0)
         navigation = NavigationBatch(
             config.navigation, settings, skies, cities, cities.ahead(config.observation.satellites_m),
@@ -216,15 +218,16 @@ def set_scene(
     capacity = min(config.slots, others + (0 if kind is None else kind.newcomers))
     crew = np.ones((1, capacity if config.perception.others_navigate else 0), dtype=np.bool_)
     starts = draw_starts([seed], config.cities, HOURS, crew, config.navigation.source.uses_sensors)
-    city, hour = int(starts.city[0]), int(starts.hour[0])
-    episodes = _episodes(world, config, city, 1, [hour], 1, 1 + others, capacity)
+    city, hour, streets = int(starts.city[0]), int(starts.hour[0]), Streets.of(world, config)
+    street = streets(city)
+    episodes = _episodes(world, config, streets, city, street, 1, [hour], 1, 1 + others, capacity)
     navigation, ends_s = episodes.navigation, duration_s(config, world)
     if faults is not None:
         give_faults(episodes, 0, faults, ends_s)
     elif navigation is not None:
         _put(navigation, 0, config, _drawn(episodes, 0, ends_s, capacity, seed))
     here = np.zeros(1, dtype=np.int64)
-    return EpisodeContext(_Streets.of(world, config)(city), episodes, seed, starts._replace(hour=here))
+    return EpisodeContext(street, episodes, seed, starts._replace(hour=here))
 
 
 def give_faults(episodes: Episodes, row: int, faults: Sequence[Fault], duration_s: float) -> None:

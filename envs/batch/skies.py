@@ -143,7 +143,7 @@ class Cities:
     street : makes the street of a city from its seed
     table : the lanes
     slots : largest number of cities at a time
-    first : seed of the city that is made at once
+    first, one : seed of the first city, and its street
 
     Attributes
     ----------
@@ -152,8 +152,9 @@ class Cities:
     made : number of cities that have been put into slots
     """
 
-    def __init__(self, street: Callable[[int], Street], table: LaneTable, slots: int, first: int) -> None:
-        one = street(first)
+    def __init__(
+        self, street: Callable[[int], Street], table: LaneTable, slots: int, first: int, one: Street
+    ) -> None:  # fmt: skip
         self.begin_m: Array = np.array([one.lanes.offset_m[index[:2]] for index in table.index])
         self.reach_m: Array = np.array([one.lanes.reach_m[index] for index in table.index])
         self.mask, self.forecast = one.mask, one.forecast
