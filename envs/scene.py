@@ -118,14 +118,17 @@ class Streets:
     level: SkyLevel
     sections: tuple[Section, ...]
     extent_m: float
+    vary: bool
 
     @classmethod
     def of(cls, world: AbstractEnv, config: EnvConfig) -> Self:
         """Of a world."""
-        return cls(world.road.network, config.level, tuple(getattr(world, "sections", ())), config.extent_m)
+        sections = tuple(getattr(world, "sections", ()))
+        return cls(world.road.network, config.level, sections, config.extent_m, config.cities.vary)
 
     def __call__(self, seed: int) -> Street:
-        return build_street(self.network, self.level, seed, self.sections, self.extent_m)
+        level = self.level.of_city(seed) if self.vary else self.level
+        return build_street(self.network, level, seed, self.sections, self.extent_m)
 
 
 def begin_all(

@@ -1,8 +1,8 @@
 """What drivers and policies keep in cities that nothing was tuned on: the shipped ones, in tuned cities and in others.
 
 The episodes of an id have the same seeds in both: the same traffic, hours and sensor noise, and another city. Tuned are
-the four cities of the default, on which the levels of skies and the policies were made; test are the 100 of the split
-``test``. The gap is the paired difference, test less tuned.
+the four cities of the default, in which the policies were trained; test are the 100 of the split ``test``, and varied
+the same with streets that are drawn too (``cities.vary``). The gap is the paired difference from the tuned ones.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.benchmark.metrics import Better
-from lanebound.agents.benchmark.statistics import difference, holm
+from lanebound.agents.benchmark.statistics import Difference, difference, holm
 from lanebound.agents.benchmark.suite import SPLITS
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.drivers import make_agent
@@ -40,7 +40,12 @@ PACKAGES = (
     "lanebound.agents:studies/limits.py",
 )
 SECTIONS = ("gap",)
-CITIES: dict[str, dict[str, Any]] = {"tuned": {"split": "train", "count": 4}, "test": {"split": "test", "count": 100}}
+TUNED, CLEAR = "tuned", 0.05  # CLEAR: p-value
+CITIES: dict[str, dict[str, Any]] = {
+    TUNED: {"split": "train", "count": 4, "vary": False},
+    "test": {"split": "test", "count": 100, "vary": False},
+    "varied": {"split": "test", "count": 100, "vary": True},
+}
 JUDGED: dict[str, Better] = {"reward": "higher", "cost": "lower", "available": "higher"}
 
 
@@ -113,27 +118,35 @@ def _driven(config: GeneralisationConfig, env: str, driver: str, cities: str) ->
 
 
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:
-    """Means in tuned and in test cities of each id and driver, and the gap with its 95 % interval.
+    """Means of each id and driver by cities, and the gap to the tuned ones with its 95 % interval.
 
     Bold: clear after Holm's method over the table.
     """
     cases = [(env, driver, part) for env, drivers in found["envs"].items() for driver, part in drivers.items()]
-    gaps = [
-        difference(np.array(part["test"][name]), np.array(part["tuned"][name]), better)
-        for *_, part in cases
-        for name, better in JUDGED.items()
-    ]
-    adjusted = iter(holm([1.0 if gap.p is None else gap.p for gap in gaps]))
-    rows, at = [], iter(gaps)
-    for env, driver, part in cases:
-        cells: list[str] = []
-        for name in JUDGED:
-            unit, gap, p = 100.0 if name == "available" else 1.0, next(at), next(adjusted)
-            tuned, test = (f"{unit * float(np.mean(part[cities][name])):.3g}" for cities in CITIES)
-            ends = "" if gap.low is None or gap.high is None else f" ({unit * gap.low:+.2g} to {unit * gap.high:+.2g})"
-            shown = f"{unit * (gap.difference or 0.0):+.2g}{ends}"
-            cells.append(f"{tuned}, {test}; {f'**{shown}**' if p < 0.05 else shown}")
-        success = ", ".join(f"{100.0 * float(np.mean(part[cities]['success'])):.0f}" for cities in CITIES)
-        rows.append((env, f"`{driver}`", success, *cells))
-    heads = ("id", "driver", "success [%]", "reward", "cost", "available [%]")
+    others = [(at, cities, name) for at in range(len(cases)) for cities in list(CITIES)[1:] for name in JUDGED]
+    gaps = {
+        (at, cities, name): difference(
+            np.array(cases[at][2][cities][name]), np.array(cases[at][2][TUNED][name]), JUDGED[name]
+        )
+        for at, cities, name in others
+    }
+    adjusted = dict(zip(gaps, holm([1.0 if gap.p is None else gap.p for gap in gaps.values()]), strict=True))
+    rows = []
+    for at, (env, driver, part) in enumerate(cases):
+        for cities in CITIES:
+            cells = []
+            for name in JUDGED:
+                unit, key = 100.0 if name == "available" else 1.0, (at, cities, name)
+                gap = _shown(gaps[key], unit, adjusted[key] < CLEAR) if key in gaps else ""
+                cells += [f"{unit * float(np.mean(part[cities][name])):.3g}", gap]
+            success = f"{100.0 * float(np.mean(part[cities]['success'])):.0f}"
+            rows.append((env, f"`{driver}`", cities, success, *cells))
+    heads = ("id", "driver", "cities", "success [%]", "reward", "gap", "cost", "gap", "available [%]", "gap")
     return {SECTIONS[0]: (heads, rows)}
+
+
+def _shown(gap: Difference, unit: float, clear: bool) -> str:
+    """A difference in another unit with its interval, bold where it is clear."""
+    ends = "" if gap.low is None or gap.high is None else f" ({unit * gap.low:+.2g} to {unit * gap.high:+.2g})"
+    text = f"{unit * (gap.difference or 0.0):+.2g}{ends}"
+    return f"**{text}**" if clear else text

@@ -27,8 +27,8 @@ class Split(Enum):
 class CitiesConfig(Config):
     """The generated cities of the episodes: the first ones of a split, one of them drawn for each episode.
 
-    The city of number k is drawn from the streams ``city``, ``facades`` and ``map`` of the seed :meth:`seed_of` k. No
-    seed is in both splits.
+    The city of number k is drawn from the streams ``city``, ``facades`` and ``map`` of the seed :meth:`seed_of` k, and
+    with ``vary`` also from ``character`` (:meth:`.SkyLevel.of_city`). No seed is in both splits.
 
     >>> CitiesConfig(split="test").seed_of(0)
     2147483648
@@ -39,6 +39,12 @@ class CitiesConfig(Config):
     )
     count: int | None = Field(
         None, ge=1, le=TRAIN_CITIES, description="the first cities of the split; None: 4 of train, all 100 of test"
+    )
+
+    vary: bool = Field(
+        False,
+        description="each city draws order and lengths of its stretches, heights, width and materials about the sky's; "
+        "false: all have those of the sky",
     )
 
     @model_validator(mode="after")
