@@ -19,10 +19,16 @@ from tests.helpers.side_by_side import Pairs, require_equal
 MANY: dict[str, Any] = {"cities": {"count": 200}, "extent_m": 300.0, "duration_s": 2.0}
 
 
-@pytest.mark.parametrize("name", ["LaneKeeping", "UrbanCanyon", "Merge"])
-def test_an_episode_in_any_city_is_the_single_one(name: str) -> None:
-    small = {"world": {"vehicles_count": 2}} if name == "UrbanCanyon" else {}
-    pairs = Pairs(name, {**MANY, **small}, 2, 5)
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("LaneKeeping", {"cities": {"count": 200, "vary": True}}),
+        ("UrbanCanyon", {"world": {"vehicles_count": 2}}),
+        ("Merge", {"cities": {"split": "test"}}),
+    ],
+)
+def test_an_episode_in_any_city_is_the_single_one(name: str, change: dict[str, Any]) -> None:
+    pairs = Pairs(name, {**MANY, **change}, 2, 5)
     for start in range(3):
         pairs.step(3)
         pairs.reset(np.array([start % 2]), None)  # the next of its generator, prepared with others
