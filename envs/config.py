@@ -18,7 +18,7 @@ from lanebound.envs.observation import ObservationConfig
 from lanebound.envs.perception import PerceptionConfig
 from lanebound.envs.rendering.config import RenderingConfig
 from lanebound.envs.rewards import RewardConfig
-from lanebound.envs.sky import RECORDING, SKIES, SkyLevel
+from lanebound.envs.sky import RECORDING, SKIES, CitiesConfig, SkyLevel
 from lanebound.envs.worlds.followers import MOTORWAYS, TrafficConfig
 from lanebound.envs.worlds.wander import WanderConfig
 from lanebound.integrity.core.config import Config
@@ -72,7 +72,7 @@ class EnvConfig(Config):
         "urban",
         description=f"packaged sky: {', '.join(SKIES)}; or a .csv recording, a .yaml file",
     )
-    layouts: int = Field(4, ge=1, le=64, description="number of generated cities, one of them drawn for each episode")
+    cities: CitiesConfig = Field(CitiesConfig(), description="generated cities, one of them drawn for each episode")
     extent_m: float = Field(2500.0, gt=0, description="length of a lane that is lined with buildings")
     faults: FaultLevel = Field(
         FaultLevel.NONE, description="random faults: their rates, or one in each episode, with its weight in info"
@@ -136,6 +136,16 @@ class EnvConfig(Config):
     @classmethod
     def _navigator_by_name(cls, value: Any) -> Any:
         return NavigatorConfig.data_of(value)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _cities_are_counted(cls, data: Any) -> Any:
+        # The key of earlier versions: a second name for one thing would have to be merged with the first.
+        if isinstance(data, Mapping) and "layouts" in data:
+            raise ConfigError(
+                f"layouts must be left out, got {data['layouts']!r}: set cities.count, which draws the same cities"
+            )
+        return data
 
     @model_validator(mode="before")
     @classmethod

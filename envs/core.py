@@ -184,11 +184,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `fault_...` | with `faults: one`: [the fault of the episode](#one-fault-in-each-episode) |
 
     ## Starting State
-    `reset(seed=...)` determines the whole episode: traffic, one of 4 generated cities along the roads, the hour of the
-    constellations, all sensor noise. The navigator starts 3 s before the episode on a straight approach, from errors of
-    0.05 m and 0.5 degrees (1 sigma). The map has an error of 0.03 m (1 sigma) on each axis, which takes a tenth of the
-    integrity risk. All vehicles share the atmosphere, the reference station and half of the outages of the link. An
-    episode may begin in an outage, or under an alert (reason `holding`) that clears within 1 s.
+    `reset(seed=...)` determines the whole episode: traffic, one of the [generated cities](#cities) along the roads, the
+    hour of the constellations, all sensor noise. The navigator starts 3 s before the episode on a straight approach,
+    from errors of 0.05 m and 0.5 degrees (1 sigma). The map has an error of 0.03 m (1 sigma) on each axis, which takes
+    a tenth of the integrity risk. All vehicles share the atmosphere, the reference station and half of the outages of
+    the link. An episode may begin in an outage, or under an alert (reason `holding`) that clears within 1 s.
 
     ## Episode End
     Terminated when the true car has crashed, has its middle off the road or has driven against its lane for 1 s, at the

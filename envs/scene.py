@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
@@ -22,7 +24,7 @@ from lanebound.envs.config import EnvConfig, FaultLevel
 from lanebound.envs.info import FAULT_INFO
 from lanebound.envs.recordings import recordings_of
 from lanebound.envs.road_map import road_map_of
-from lanebound.envs.sky import SkyLevel, Street, build_street
+from lanebound.envs.sky import Section, SkyLevel, Street, build_street
 from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.config_errors import joined
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -94,15 +96,39 @@ def duration_s(config: EnvConfig, world: AbstractEnv) -> float:
     return float(config.duration_s or world.config.get("duration", ENDLESS_S))
 
 
-def make_batch(world: AbstractEnv, config: EnvConfig, count: int, vehicles: int, capacity: int) -> Episodes:
+def make_batch(
+    world: AbstractEnv, config: EnvConfig, count: int, waiting: int, vehicles: int, capacity: int
+) -> Episodes:  # fmt: skip
     """N episodes of the vector engine, each in any of the cities at any hour.
 
+    waiting : next episodes that may wait, each in a city of its own
     vehicles : that there may be in each
     capacity : slots of the others
     """
-    network, sections = world.road.network, getattr(world, "sections", ())
-    streets = [build_street(network, config.level, n, sections, config.extent_m) for n in range(config.layouts)]
-    return _episodes(world, config, streets, range(HOURS), count, vehicles, capacity)
+    first, slots = config.cities.seed_of(0), min(config.cities.number, count + waiting)
+    streets = Streets.of(world, config)
+    return _episodes(world, config, streets, first, streets(first), slots, range(HOURS), count, vehicles, capacity)
+
+
+@dataclass(frozen=True)
+class Streets:
+    """Makes the streets of cities along the roads of a world."""
+
+    network: RoadNetwork
+    level: SkyLevel
+    sections: tuple[Section, ...]
+    extent_m: float
+    vary: bool
+
+    @classmethod
+    def of(cls, world: AbstractEnv, config: EnvConfig) -> Self:
+        """Of a world."""
+        sections = tuple(getattr(world, "sections", ()))
+        return cls(world.road.network, config.level, sections, config.extent_m, config.cities.vary)
+
+    def __call__(self, seed: int) -> Street:
+        level = self.level.of_city(seed) if self.vary else self.level
+        return build_street(self.network, level, seed, self.sections, self.extent_m)
 
 
 def begin_all(
@@ -118,7 +144,7 @@ def begin_all(
     starts = None
     if navigation is not None:
         navigating = crew[:, : navigation.vehicles - 1]
-        starts = draw_starts(seeds, config.layouts, HOURS, navigating, config.navigation.source.uses_sensors)
+        starts = draw_starts(seeds, config.cities, HOURS, navigating, config.navigation.source.uses_sensors)
     episodes.begin(rows, seeds, starts, crew)
     if navigation is not None:
         for row, others, seed in zip(rows.tolist(), slots.tolist(), seeds, strict=True):
@@ -129,13 +155,19 @@ def begin_all(
 def _episodes(
     world: AbstractEnv,
     config: EnvConfig,
-    streets: Sequence[Street],
+    streets: Streets,
+    city: int,
+    street: Street,
+    slots: int,
     hours: Sequence[int],
     count: int,
     vehicles: int,
     capacity: int,
 ) -> Episodes:
-    """N episodes in some cities at some hours, of up to V vehicles, of which C others have a slot."""
+    """N episodes at some hours, of up to V vehicles, of which C others have a slot.
+
+    city, street, slots : seed of the first city, its street, and how many there are at a time
+    """
     settings = navigator_config(config, alert_limits_m(world, config))
     uses_sensors = config.navigation.source.uses_sensors
     navigate = capacity > 0 and config.perception.others_navigate
@@ -146,7 +178,8 @@ def _episodes(
     navigation = None
     if uses_sensors or navigate:
         span_s = config.navigation.warm_up_s + duration_s(config, world) + MARGIN_S
-        skies, cities = Skies.of(settings.sky, span_s, hours), Cities.of(streets, routes.table)
+        skies = Skies.of(settings.sky, span_s, hours)
+        cities = Cities(streets, routes.table, slots, city, street)
         members = 1 + (capacity if navigate else 0)
         navigation = NavigationBatch(
             config.navigation, settings, skies, cities, cities.ahead(config.observation.satellites_m),
@@ -187,17 +220,17 @@ def set_scene(
     kind = world_kind(config.base)
     capacity = min(config.slots, others + (0 if kind is None else kind.newcomers))
     crew = np.ones((1, capacity if config.perception.others_navigate else 0), dtype=np.bool_)
-    starts = draw_starts([seed], config.layouts, HOURS, crew, config.navigation.source.uses_sensors)
-    layout, hour = int(starts.layout[0]), int(starts.hour[0])
-    street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
-    episodes = _episodes(world, config, [street], [hour], 1, 1 + others, capacity)
+    starts = draw_starts([seed], config.cities, HOURS, crew, config.navigation.source.uses_sensors)
+    city, hour, streets = int(starts.city[0]), int(starts.hour[0]), Streets.of(world, config)
+    street = streets(city)
+    episodes = _episodes(world, config, streets, city, street, 1, [hour], 1, 1 + others, capacity)
     navigation, ends_s = episodes.navigation, duration_s(config, world)
     if faults is not None:
         give_faults(episodes, 0, faults, ends_s)
     elif navigation is not None:
         _put(navigation, 0, config, _drawn(episodes, 0, ends_s, capacity, seed))
     here = np.zeros(1, dtype=np.int64)
-    return EpisodeContext(street, episodes, seed, starts._replace(layout=here, hour=here))
+    return EpisodeContext(street, episodes, seed, starts._replace(hour=here))
 
 
 def give_faults(episodes: Episodes, row: int, faults: Sequence[Fault], duration_s: float) -> None:

@@ -245,6 +245,32 @@ def decisions(
     show_study(found, shown, out, None, as_json)
 
 
+@app.command("cities")
+def cities(
+    out: Annotated[Path, typer.Option(help="Folder for results.json; a run is resumed there.")],
+    env: Annotated[
+        list[str] | None, typer.Option(help="An id of ours without lanebound/, with an engine; may be repeated.")
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(min=2, help="Episodes of each id and driver; the study has 32.")] = None,
+    page: Annotated[Path | None, typer.Option(metavar="FILE.md", help="Page whose table is written anew.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """What drivers and shipped policies keep in cities that nothing was tuned on: reward, cost and availability.
+
+    Example: lanebound assess cities --out out/cities --env LaneKeeping --seeds 8
+    """
+    from lanebound.agents.report.pages import require_page
+    from lanebound.agents.studies.cities import SECTIONS, GeneralisationConfig, assess_cities, tables
+
+    if page is not None:
+        require_page(page, SECTIONS)
+    config = GeneralisationConfig.load(changes(assignments, envs=env, seeds=seeds))
+    found = carry_out(out, "id", lambda report: assess_cities(config, out, jobs, report))
+    show_study(found, tables(found), out, page, as_json)
+
+
 @app.command("monitors")
 def assess_monitors(
     out: Annotated[Path, typer.Option(help="Folder for results.json and report.html; a run is resumed there.")],

@@ -58,24 +58,26 @@ def assess_others(config: OthersConfig, env: EnvConfig, out: Path) -> dict[str, 
     """
     surrogate = env.replace(perception={"source": "v2v", "others": "surrogate"})
     full, count, seed = env.replace(perception={"source": "v2v", "others": "full"}), config.episodes, config.seed
-    if env.layouts < FEWEST_CITIES:
+    own = env.cities.number
+    if own < FEWEST_CITIES:
         raise InputError(
-            f"layouts must be {FEWEST_CITIES} or more for a test by city, got {env.layouts}: raise it by --set layouts"
+            f"cities.count must be {FEWEST_CITIES} or more for a test by city, got {own}: raise it by --set "
+            "cities.count"
         )
     spoken, recorded = _of_each_recording(count, 2 * seed + 1)  # other traffic than that of those that navigate
     said = _notes(surrogate, spoken)
-    kinds = {"same": (env.layouts, range(env.layouts)), "other": (MORE * env.layouts, range(env.layouts, 10**9))}
+    kinds = {"same": (own, range(own)), "other": (MORE * own, range(own, 10**9))}
     tests, hz = _marginals() | {"spread of episodes' mean log level across": _shared}, env.navigation.rate_hz
     tests["correlation of errors across of two vehicles"] = _together
     tests |= {f"autocorrelation of the error across, {lag:g} s": _autocorrelation(lag, hz) for lag in LAGS_S}
     found: dict[str, dict[str, Any]] = {}
     for kind, (cities, allowed) in kinds.items():
         seeds = _seeds_in(cities, allowed, count, 2 * seed)
-        navigated, rng = _notes(full.replace(layouts=cities), seeds), named_generator(seed, "others")
+        navigated, rng = _notes(full.replace(cities={"count": cities}), seeds), named_generator(seed, "others")
         of_full, of_surrogate = np.arange(count), np.arange(count, 2 * count)
         if kind == "other":
             of_full = np.array([city_of(one, cities) for one in seeds])
-            of_surrogate = np.array([city_of(SEED + one, env.layouts) for one in recorded])
+            of_surrogate = np.array([city_of(SEED + one, own) for one in recorded])
         exchange = _Exchange(np.concatenate([of_full, of_surrogate]), count, config.exchanges, rng)
         found[kind] = {name: test(navigated, said, exchange) for name, test in tests.items()}
     return stored({"config": config.to_dict(), "env": env.to_dict(), "tests": found}, out)

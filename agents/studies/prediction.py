@@ -119,7 +119,8 @@ def work_street(config: PredictionConfig, sky: str, number: int, advance: Advanc
     """Predict a street by each map, and drive it; it does not depend on others."""
     mask = mask_of(config, sky, number)
     navigator = navigator_of(config, sky, number, mask)
-    predicted = _predictions(config, sky, number, mask.path.shape[0], navigator.track)
+    stations = len(mask.rows.cell)
+    predicted = _predictions(config, sky, number, stations, navigator.track)
     rows, every = [], round(SAMPLE_S / navigator.config.dt_s)
     first, epochs = (round(time_s / navigator.config.dt_s) for time_s in (config.warm_up_s, config.span_s))
     vehicles = np.arange(config.vehicles)
@@ -130,7 +131,7 @@ def work_street(config: PredictionConfig, sky: str, number: int, advance: Advanc
             received = measured.gnss.phase_m[..., 0] != 0.0  # carriers, which RTK needs
             direct = mask.look(truth.arc_m, truth.lane, measured.sky).path == SignalPath.LOS
             los, system = measured.sky.los_enu[measured.sky.index[0]], measured.sky.system
-            station = np.clip(np.round(truth.arc_m / mask.spacing_m), 0, mask.path.shape[0] - 1)
+            station = np.clip(np.round(truth.arc_m / mask.spacing_m), 0, stations - 1)
             rows.append(np.column_stack([
                 station, received.sum(-1), (received & direct).sum(-1), measured.gnss.tracked.sum(-1),
                 np.minimum(pdop(los, system, received), WORST_PDOP), solution.mode == Mode.RTK,

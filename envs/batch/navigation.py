@@ -25,6 +25,7 @@ from lanebound.envs.batch.sky_ahead_kernel import Forecast, SkyRows
 from lanebound.envs.batch.streams import CrewStreams
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.records import azimuth_of, enu_of
+from lanebound.envs.sky import CitiesConfig
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.core.records import Records
@@ -55,19 +56,20 @@ FLEET_STARTS = 2  # draws of the others' first positions: as they enter the worl
 class Starts(NamedTuple):
     """What the starts of n episodes draw beside the traffic.
 
-    layout, hour, fleet_seed (n,): city, hour of the constellations, seed of the others' instruments; map_shift (n, 2)
-    standard normal, of each ego's map; noise (n, M, 3) standard normal, of first positions and headings.
+    city, hour, fleet_seed (n,): seed of the city, hour of the constellations, seed of the others' instruments;
+    map_shift (n, 2) standard normal, of each ego's map; noise (n, M, 3) standard normal, of first positions and
+    headings.
     """
 
-    layout: Rows
+    city: Rows
     hour: Rows
     fleet_seed: Rows
     map_shift: Array
     noise: Array
 
 
-def draw_starts(seeds: Sequence[int], layouts: int, hours: int, crew: Flags, sensed: bool) -> Starts:
-    """The draws of episodes, by their seeds.
+def draw_starts(seeds: Sequence[int], cities: CitiesConfig, hours: int, crew: Flags, sensed: bool) -> Starts:
+    """The draws of episodes, by their seeds alone.
 
     crew (n, M - 1): places of the others that a vehicle has taken; zeros are drawn for the rest. ``sensed``: the egos'
     own positions are, and so their maps have a shift.
@@ -76,7 +78,8 @@ def draw_starts(seeds: Sequence[int], layouts: int, hours: int, crew: Flags, sen
     shift, noise = np.zeros((len(seeds), 2)), np.zeros((len(seeds), 1 + crew.shape[1], 3))
     for n, seed in enumerate(seeds):
         scene, start = named_generator(seed, "scene"), named_generator(seed, "start")
-        drawn[:, n] = [scene.integers(below) for below in (layouts, hours, FLEET_SEEDS)]
+        drawn[:, n] = [scene.integers(below) for below in (cities.number, hours, FLEET_SEEDS)]
+        drawn[0, n] = cities.seed_of(int(drawn[0, n]))
         if sensed:
             shift[n], noise[n, 0] = start.standard_normal(2), start.standard_normal(3)
         if others := int(crew[n].sum()):
@@ -175,7 +178,7 @@ class NavigationBatch:
         self.faults = EpisodeFaults(n)
         self.effects: FaultEffects | None = None
         self.hour, self._age = np.zeros((2, n), dtype=np.int64)  # age: epochs since the episode's start
-        self.where: Whereabouts = self.cities.where(np.zeros(n, dtype=np.int64))
+        self.where: Whereabouts = self.cities.where(n)
         self.sky: SkyRows = self.skies.empty(n)
         self._index: Rows | None = None
         self.measurements: Measurements | None = None
@@ -214,7 +217,7 @@ class NavigationBatch:
         """
         self._there[rows, 1:] = there
         self.hour[rows] = starts.hour
-        self.where.city[rows] = self.cities.city_m[starts.layout]
+        self.cities.settle(self.where, rows, starts.city)
         streams = CrewStreams(seeds, starts.fleet_seed.tolist(), there, self.skies.used[starts.hour])
         starter = self._one.another(streams)  # no fault begins before its episode
         motions = np.zeros((rows.size, self.vehicles), MOTION)

@@ -1,8 +1,8 @@
-"""Every sky that an environment may draw: the hours of the constellations, and the made-up cities along its roads."""
+"""The skies that environments draw: the hours of the constellations, and the generated cities along their roads."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Self
@@ -15,9 +15,10 @@ from lanebound.envs.batch.motion_kernel import Whereabouts
 from lanebound.envs.batch.sky_ahead_kernel import Forecast, HourTable, SkyRows
 from lanebound.envs.sky import Street
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.sky.constellation import SatelliteTable, SkyConfig
 from lanebound.integrity.sky.forecast import SkyForecast
-from lanebound.integrity.sky.scene import Faces
+from lanebound.integrity.sky.raytrace_kernel import EDGE_LINE, FACE, REFLECTION, MaskRows
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SkyMask
@@ -30,6 +31,9 @@ Rows = NDArray[np.int64]
 HOURS = 24  # the constellations repeat after a day, nearly
 STEP_S = 20.0  # between knots, as SkyTrack's
 FAR_M = 2e7  # below the horizon, where a place is empty
+NOWHERE_M = -1.0  # arc of the city of an environment without one
+SPARE = 1.5  # room of a slot over what the city has for which it was made
+KINDS = REFLECTION, FACE, EDGE_LINE
 NO_RANGE = np.zeros((0, 0))  # ranges are not read: measurements are differences to a station
 
 
@@ -127,65 +131,137 @@ def _hour(text: str, knots: int, hour: int) -> tuple[Array, Array]:
     return offset, rate
 
 
-@dataclass(frozen=True)
 class Cities:
-    """The cities of a road network one after another in one mask.
+    """The cities along the lanes of a network that episodes are in, each in a slot of one mask.
+
+    A city is made when the first episode begins in it, and keeps its slot until that is needed and no episode runs or
+    waits in it. With at least as many slots as there are such episodes, every city finds one; which slot it has, and
+    how many there are, changes nothing that episodes measure.
+
+    Parameters
+    ----------
+    street : makes the street of a city from its seed
+    table : the lanes
+    slots : largest number of cities at a time
+    first, one : seed of the first city, and its street
 
     Attributes
     ----------
-    mask, forecast : of all cities
-    city_m : (layouts,) arc at which each begins
+    mask, forecast : of all slots, one after another
     begin_m, reach_m : (L,) arc of the beginning of each lane in a city, and up to where the lane has stations
+    made : number of cities that have been put into slots
     """
 
-    mask: SkyMask
-    forecast: SkyForecast
-    city_m: Array
-    begin_m: Array
-    reach_m: Array
+    def __init__(
+        self, street: Callable[[int], Street], table: LaneTable, slots: int, first: int, one: Street
+    ) -> None:  # fmt: skip
+        self.begin_m: Array = np.array([one.lanes.offset_m[index[:2]] for index in table.index])
+        self.reach_m: Array = np.array([one.lanes.reach_m[index] for index in table.index])
+        self.mask, self.forecast = one.mask, one.forecast
+        self._street, self._slots, self._held, self.made = street, slots, {first: 0}, 1
+        self._arcs: list[Array] = []  # of the environments, as they have been given out
+        self._stations = len(one.mask.rows.cell)
+        if slots > 1 and not one.mask.closed:  # open skies are the same everywhere
+            self._allocate(one)
+            self._write(0, one)
 
-    @classmethod
-    def of(cls, streets: Sequence[Street], table: LaneTable) -> Self:
-        """The cities of streets along the same lanes.
+    @property
+    def nbytes(self) -> int:
+        """Memory of all slots, once they are all used."""
+        return self.mask.nbytes + self.forecast.free.nbytes
 
-        Raises
-        ------
-        ConfigError
-            Some are open and some are not.
-        """
-        first = streets[0]
-        begin = np.array([first.lanes.offset_m[index[:2]] for index in table.index])
-        reach = np.array([first.lanes.reach_m[index] for index in table.index])
-        masks, forecasts = [street.mask for street in streets], [street.forecast for street in streets]
-        if len(streets) == 1 or all(mask.closed for mask in masks):  # open skies are the same everywhere
-            return cls(first.mask, first.forecast, np.zeros(len(streets)), begin, reach)
-        if any(mask.closed for mask in masks):
-            raise ConfigError(
-                "sky must leave all cities open or none in the vector engine: choose another level or seed"
-            )
-        stations = np.cumsum([0, *(mask.path.shape[0] for mask in masks)])
-        spacing = first.mask.spacing_m
-        mask = SkyMask(
-            np.concatenate([m.path for m in masks]),
-            np.concatenate([m.excess_m for m in masks]),
-            first.mask.azimuths,
-            first.mask.elevations,
-            spacing,
-            spacing * float(stations[-1]),
-            False,
-            faces=Faces.join([m.faces for m in masks]),
-        )
-        free = np.concatenate([f.free for f in forecasts])
-        shown = first.forecast
-        forecast = SkyForecast(free, shown.azimuths, shown.elevations, shown.spacing_m)
-        return cls(mask, forecast, spacing * stations[:-1], begin, reach)
-
-    def where(self, layout: Rows) -> Whereabouts:
-        """Where N environments are, each in the city of its layout (N,)."""
-        return Whereabouts(self.begin_m, self.reach_m, np.asarray(self.city_m[layout], dtype=np.float64))
+    def where(self, count: int) -> Whereabouts:
+        """Where ``count`` environments are, before any start in the first slot."""
+        self._arcs.append(np.zeros(count))
+        return Whereabouts(self.begin_m, self.reach_m, self._arcs[-1])
 
     def ahead(self, distances_m: Sequence[float]) -> Forecast:
         """The forecast at distances ahead."""
         f = self.forecast
         distances = np.array(distances_m, dtype=np.float64)
         return Forecast(f.free, distances, float(f.spacing_m), int(f.azimuths), int(f.elevations))
+
+    def settle(self, where: Whereabouts, rows: Rows, seeds: Rows) -> None:
+        """Put environments ``rows`` into the cities of seeds (n,), which are made where there are none.
+
+        Raises
+        ------
+        ConfigError
+            Some cities are open and some are not.
+        """
+        where.city[rows] = NOWHERE_M  # leave their slots to others
+        for row, seed in zip(rows.tolist(), seeds.tolist(), strict=True):
+            where.city[row] = self.mask.spacing_m * self._stations * self._slot(seed)
+
+    def _slot(self, seed: int) -> int:
+        """The slot of a city."""
+        slot = self._held.pop(seed, None)
+        if slot is None:
+            street = self._street(seed)
+            if street.mask.closed != self.mask.closed:
+                raise ConfigError(
+                    "sky must leave all cities open or none in the vector engine: choose another level or other cities"
+                )
+            slot = 0 if self.mask.closed else self._free()
+            if not self.mask.closed:
+                self._write(slot, street)
+            self.made += 1
+        self._held[seed] = slot  # the last one is the newest
+        return slot
+
+    def _free(self) -> int:
+        """A slot in which nothing is, or the one of the city that was drawn least recently and is not used."""
+        empty = set(range(self._slots)) - set(self._held.values())
+        if empty:
+            return min(empty)
+        length = self.mask.spacing_m * self._stations
+        used = {round(arc / length) for arcs in self._arcs for arc in arcs.tolist() if arc != NOWHERE_M}
+        seed = next(seed for seed, slot in self._held.items() if slot not in used)
+        return self._held.pop(seed)
+
+    def _allocate(self, one: Street) -> None:
+        """Make room for cities of about the size of one; memory is taken as slots are written."""
+        rows, slots, n = one.mask.rows, self._slots, self._stations
+        self._room = [int(SPARE * len(part)) for part in (rows.reflection, rows.faces, rows.edges)]
+        rules = rows.rules.copy()
+        rules["length"] = rules["spacing"] * n * slots
+        cell, first, edge, free = (
+            np.zeros((slots * len(part), *part.shape[1:]), part.dtype)
+            for part in (rows.cell, rows.first, rows.edge, one.forecast.free)
+        )
+        reflection, faces, edges = self._tables(self._room)
+        self.mask = SkyMask.of_rows(MaskRows(rules, cell, first, reflection, edge, faces, edges))
+        shown = one.forecast
+        self.forecast = SkyForecast(free, shown.azimuths, shown.elevations, shown.spacing_m)
+
+    def _tables(self, room: list[int]) -> list[Records]:
+        """Empty tables of reflections, faces and edges of all slots, each with so much room."""
+        return [np.zeros(self._slots * size, kind) for size, kind in zip(room, KINDS, strict=True)]
+
+    def _write(self, slot: int, street: Street) -> None:
+        """Put a city into a slot."""
+        theirs, rows = street.mask.rows, self.mask.rows
+        sizes = [len(part) for part in (theirs.reflection, theirs.faces, theirs.edges)]
+        if any(size > room for size, room in zip(sizes, self._room, strict=True)):
+            self._widen([max(int(SPARE * size), room) for size, room in zip(sizes, self._room, strict=True)])
+            rows = self.mask.rows
+        at, (r, f, e) = slice(slot * self._stations, (slot + 1) * self._stations), (slot * k for k in self._room)
+        rows.cell[at], rows.first[at], self.forecast.free[at] = theirs.cell, theirs.first + r, street.forecast.free
+        if len(rows.edge):
+            rows.edge[at] = _from(theirs.edge, e)
+        rows.reflection[r : r + sizes[0]] = theirs.reflection
+        rows.reflection["face"][r : r + sizes[0]] = _from(theirs.reflection["face"], f)
+        rows.faces[f : f + sizes[1]], rows.edges[e : e + sizes[2]] = theirs.faces, theirs.edges
+
+    def _widen(self, room: list[int]) -> None:
+        """Give every slot more room for reflections, faces and edges; the cities are put in again."""
+        self._room, rows = room, self.mask.rows
+        reflection, faces, edges = self._tables(room)
+        self.mask.rows = rows._replace(reflection=reflection, faces=faces, edges=edges)
+        for seed, slot in self._held.items():
+            self._write(slot, self._street(seed))
+
+
+def _from(index: NDArray[np.int32], begin: int) -> NDArray[np.int32]:
+    """Indices from the beginning of a slot; -1 stays."""
+    return np.where(index < 0, -1, index + begin).astype(np.int32)

@@ -25,13 +25,13 @@ from lanebound.envs.sky.street import LaneMap, Street
 from lanebound.integrity import sky
 from lanebound.integrity.core.kernel_cache import cache_root
 from lanebound.integrity.sky.forecast import SkyForecast
-from lanebound.integrity.sky.scene import City, Faces
-from lanebound.integrity.sky.visibility import SkyMask
+from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.visibility import SkyMask, rows_in
 
 __all__ = ["key_of", "load", "remember", "save"]
 
 IN_MEMORY = 8
-ON_DISK = 300
+ON_DISK_BYTES = 2**30  # some hundred cities of each id, at about 1 to 5 MB
 SAMPLES = 12  # poses by which a lane is recognised
 
 _recent: OrderedDict[str, Street] = OrderedDict()
@@ -83,22 +83,17 @@ def load(key: str, lanes: LaneMap) -> Street | None:
         return None
     try:
         with (place / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as data:
-            azimuths, elevations, closed = (int(v) for v in data["bins"])
-            spacing, length = (float(v) for v in data["stations"])
             city = City(data["triangles"], data["surface"], material=data["material"])
-            table, excess = data["path"], data["excess"]
-            mask = SkyMask(
-                table, excess, azimuths, elevations, spacing, length, bool(closed), key, Faces.of_arrays(data)
-            )
-            forecast = SkyForecast(data["free"], azimuths, elevations, spacing)
+            mask = SkyMask.of_rows(rows_in(data), key)
+            forecast = SkyForecast(data["free"], mask.azimuths, mask.elevations, mask.spacing_m)
     except (OSError, EOFError, KeyError, ValueError, BadZipFile):
         return None
     return Street(mask, forecast, city, lanes)
 
 
 def save(key: str, street: Street) -> None:
-    """Write a street to disk atomically; only the newest 300 files are kept."""
-    place, mask = folder(), street.mask
+    """Write a street to disk atomically; only the newest files are kept, up to 1 GiB."""
+    place = folder()
     if place is None:
         return
     with suppress(OSError):
@@ -108,20 +103,18 @@ def save(key: str, street: Street) -> None:
             with os.fdopen(handle, "wb") as file:
                 np.savez_compressed(
                     file,
-                    path=mask.path,
-                    excess=mask.excess_m,
                     free=street.forecast.free,
-                    bins=np.array([mask.azimuths, mask.elevations, int(mask.closed)]),
-                    stations=np.array([mask.spacing_m, mask.length_m]),
                     triangles=street.city.triangles_enu_m,
                     surface=street.city.surface,
                     material=street.city.material,
-                    **mask.faces.as_arrays(),
+                    **street.mask.rows._asdict(),
                 )
             os.replace(name, place / f"{key}.npz")
         except OSError:
             Path(name).unlink(missing_ok=True)
             return
         kept = sorted(place.glob("*.npz"), key=lambda file: file.stat().st_mtime)
-        for old in kept[:-ON_DISK]:
-            old.unlink(missing_ok=True)
+        sizes = np.cumsum([file.stat().st_size for file in kept[::-1]])[::-1]
+        for old, size in zip(kept[:-1], sizes.tolist(), strict=False):
+            if size > ON_DISK_BYTES:
+                old.unlink(missing_ok=True)

@@ -6,9 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import FILES, load_file, preset_names
+from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
@@ -23,6 +26,13 @@ _PRESETS = [name.removeprefix(FOLDER) for name in preset_names() if name.startsw
 SKIES = (*SKY_LEVELS, *(name for name in _PRESETS if name not in SKY_LEVELS))
 """Short names of all packaged skies: the levels, and the other presets of ``configs/skies/``."""
 RECORDING = (".csv", ".csv.gz")  # how names of recorded skies end
+LENGTH_FACTORS = 0.5, 1.5  # of a section, uniform: as facades and blocks of a street differ; chosen
+# Between cities of one level, up to 2 sigma; chosen: a seventh of log(20.6 m / 7.1 m), the distance of Westminster from
+# Guildford, which are of two levels (Tzaras et al. 1998, as in integrity.sky.city).
+HEIGHT_LOG_SD = 0.15
+HEIGHT_SPREADS = 0.27, 0.44  # log sd of the heights in a city: Guildford to Westminster
+WIDTH_FACTORS = 0.8, 1.25  # of the least distance of facades; chosen
+MATERIAL_COUNT = 20.0  # concentration of the Dirichlet law of shares; chosen: a share of 0.4 has a 1 sigma of 0.11
 AS_RECORDED = "urban"  # the level whose link and instruments go with a recorded sky
 
 
@@ -68,6 +78,33 @@ class SkyLevel(Config):
         kinds = {kind: self.city.street(kind) for kind in SectionKind}
         streets = {kind: street.replace(setback_m=max(street.setback_m, least)) for kind, street in kinds.items()}
         return CityConfig(sections=self.city.sections, streets=streets)
+
+    def of_city(self, seed: int) -> SkyLevel:
+        """The level with the streets of one city, drawn about its own from the stream ``character`` of a seed.
+
+        Drawn are the order and the lengths of the sections, one factor on all median heights, the spread of heights,
+        the width of streets and the shares of materials. The kinds of streets, and the mean share of the road that
+        each has, are those of the level: so an urban city stays one.
+        """
+        rng, own = named_generator(seed, "character"), self.city
+        order, stretched = rng.permutation(len(own.sections)), rng.uniform(*LENGTH_FACTORS, len(own.sections))
+        higher = float(np.exp(HEIGHT_LOG_SD * np.clip(rng.standard_normal(), -2.0, 2.0)))
+        spread, wider = float(rng.uniform(*HEIGHT_SPREADS)), float(rng.uniform(*WIDTH_FACTORS))
+        shares = rng.standard_gamma(MATERIAL_COUNT * np.array(self.material_shares))
+        sections = [
+            own.sections[k].replace(length_m=max(float(factor) * own.sections[k].length_m, 10.0))
+            for k, factor in zip(order.tolist(), stretched, strict=True)
+        ]
+        streets = {
+            kind: street.replace(height_median_m=min(higher * street.height_median_m, 500.0), height_log_sd=spread)
+            for kind in SectionKind
+            if (street := own.street(kind)).height_median_m > 0.0
+        }
+        return self.replace(
+            city=CityConfig(sections=sections, streets={**own.streets, **streets}).to_dict(),
+            street_width_m=min(wider * self.street_width_m, 200.0),
+            material_shares=tuple((shares / shares.sum()).tolist()),
+        )
 
     @classmethod
     def named(cls, name: str) -> SkyLevel:

@@ -142,7 +142,8 @@ class Engine:
         capacity = min(config.slots, vehicles - 1 + self.newcomers)
         if self.newcomers:  # one may enter after each decision
             vehicles += math.ceil(self.duration_s * config.policy_hz) + 1
-        episodes = make_batch(single.world, config, count, vehicles, capacity)
+        self._ahead = max(1, PREPARED // count)
+        episodes = make_batch(single.world, config, count, self._ahead * count, vehicles, capacity)
         self.idm, self.before = drivers_of(self.support, single.world), self.support.before(single.world)
         self.plans = self.support.plans(single.world, episodes.table)
         self.roads = roads_of(single.world, episodes.table, self.plans)
@@ -152,7 +153,6 @@ class Engine:
         self._stage = Stage(self, episodes)
         self._next: Stage | None = None
         self._begun = np.zeros(count, dtype=np.bool_)  # whether an environment has had an episode
-        self._ahead = max(1, PREPARED // count)
         self._waits = np.zeros(count, dtype=np.int64)  # how many next ones are ready
 
     def __getstate__(self) -> dict[str, Any]:

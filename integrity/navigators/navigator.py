@@ -455,7 +455,7 @@ class Navigator:
 
     def _require_moving_sky(self, truth: Truth) -> None:
         """Refuse vehicles that have moved by STALE_M without a change of their place on the road."""
-        if self.mask.path.shape[0] == 1 or truth.arc_m.shape != (self.batch,):  # one sky everywhere; refused later
+        if self.mask.rows.cell.shape[0] == 1 or truth.arc_m.shape != (self.batch,):  # one sky everywhere; refused later
             return
         self._stale_m = np.where(truth.arc_m == self._arc_m, self._stale_m + np.abs(truth.distance_m), 0.0)
         self._arc_m = truth.arc_m.copy()

@@ -65,7 +65,8 @@ class SkyForecast:
         require_in_range("spacing_m", spacing_m, 0.0, 1e4, low_open=True)
         azimuths, elevations = cells_of(az_step_deg, el_step_deg)
         free = np.empty((each.shape[0], azimuths * elevations), dtype=np.bool_)
-        run_rows(free_rows, each.shape[0], city.grid, each, cell_centres(azimuths, elevations), free, row_us=500.0)
+        cells = cell_centres(azimuths, elevations)
+        run_rows(free_rows, each.shape[0], city.grid, each, cells, elevations, free, row_us=100.0)
         return cls(free[rows], azimuths, elevations, spacing_m)
 
     def in_sight(self, sky: SkyView) -> NDArray[np.bool_]:

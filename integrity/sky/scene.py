@@ -4,11 +4,11 @@ street, the edges that diffract them, and the materials of facades.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,7 +56,7 @@ class Faces:
     def of_triangles(cls, city: City, found: NDArray[np.int32], edge: NDArray[np.int32]) -> Self:
         """Faces and edges from indices of triangles of a city; those of one plane and material, or line, become one.
 
-        found (N, L, A E, 2) triangles, edge (N, L, A) ``3 triangle + side``; -1 for none.
+        found (..., A E, 2) triangles, edge (..., A) ``3 triangle + side``; -1 for none.
         """
         face, planes = _merged(found, lambda used: _planes(city, used))
         line, lines = _merged(edge, lambda used: _lines(city, used))
@@ -65,55 +65,19 @@ class Faces:
         edges["along"], edges["point"] = lines[:, :3], lines[:, 3:]
         return cls(face, line, table, edges)
 
-    @classmethod
-    def join(cls, parts: Sequence[Self]) -> Self:
-        """The faces of several masks one after another along the stations."""
-        return cls(
-            _renumbered([part.face for part in parts], [len(part.table) for part in parts]),
-            _renumbered([part.edge for part in parts], [len(part.edges) for part in parts]),
-            np.concatenate([part.table for part in parts]),
-            np.concatenate([part.edges for part in parts]),
-        )
-
-    @classmethod
-    def of_arrays(cls, data: Mapping[str, NDArray[Any]]) -> Self:
-        """The faces from the arrays of a file, see :meth:`as_arrays`."""
-        return cls(
-            data["face"],
-            data["edge"],
-            _table({name: data[f"face_{name}"] for name in FACE.names or ()}, FACE),
-            _table({name: data[f"edge_{name}"] for name in EDGE_LINE.names or ()}, EDGE_LINE),
-        )
-
-    def as_arrays(self) -> dict[str, Any]:
-        """The arrays for a file, by name."""
-        table = {f"face_{name}": self.table[name] for name in FACE.names or ()}
-        edges = {f"edge_{name}": self.edges[name] for name in EDGE_LINE.names or ()}
-        return {"face": self.face, "edge": self.edge, **table, **edges}
-
-
-def _table(columns: Mapping[str, NDArray[Any]], kind: np.dtype[Any]) -> Records:
-    table = np.zeros(len(next(iter(columns.values()))), kind)
-    for name, column in columns.items():
-        table[name] = column
-    return table
-
-
-def _renumbered(parts: Sequence[NDArray[np.int32]], sizes: Sequence[int]) -> NDArray[np.int32]:
-    """Indices of parts in tables of ``sizes``, as indices of the joined table."""
-    begin = np.cumsum([0, *sizes])[:-1]
-    return np.concatenate([np.where(p < 0, p, p + b).astype(np.int32) for p, b in zip(parts, begin, strict=True)])
-
 
 def _merged(
     found: NDArray[np.int32], figures: Callable[[NDArray[np.int64]], NDArray[np.float64]]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Indices of distinct figures in place of ``found``, -1 for none, and the figures (n, ...) of each."""
-    used, which = np.unique(found, return_inverse=True)
-    which, known = which.reshape(found.shape) - int(np.sum(used < 0)), used[used >= 0].astype(np.int64)
+    present = np.zeros(int(found.max(initial=-1)) + 2, dtype=np.bool_)
+    present[found + 1] = True
+    known = np.flatnonzero(present[1:])
     each = figures(known)
     _, first, alike = np.unique(np.round(each / ALIKE), axis=0, return_index=True, return_inverse=True)
-    return np.append(alike.reshape(-1), -1).astype(np.int32)[which], each[first]
+    numbers = np.full(present.size, -1, dtype=np.int32)
+    numbers[1 + known] = alike.reshape(-1)
+    return numbers[found + 1], each[first]
 
 
 def _turned(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,11 +8,11 @@ nanoseconds for each satellite.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 from zipfile import BadZipFile
 
 import numpy as np
@@ -22,11 +22,14 @@ from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.core.records import Records, one_record, packed
 from lanebound.integrity.sky.raytrace_kernel import (
+    EDGE_LINE,
+    FACE,
     MASK_RULES,
+    PATH_BITS,
     RECEPTION,
+    REFLECTION,
     STRONGEST,
     MaskRows,
-    edge_rows,
     look_up_rows,
     mask_rows,
 )
@@ -34,7 +37,9 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City, Faces, material_table, permittivities
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["Reception", "SignalPath", "SkyMask", "antennas_along", "cell_centres", "cells_of", "distinct_antennas"]
+__all__ = [
+    "Reception", "SignalPath", "SkyMask", "antennas_along", "cell_centres", "cells_of", "distinct_antennas", "rows_in",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 RAY_HZ = 1575.42e6  # of the first band: which reflections are the strongest
@@ -86,11 +91,10 @@ class Reception:
         return out
 
 
-@dataclass(frozen=True)
 class SkyMask:
     """Reception by station, lane and cell of the sky.
 
-    Attributes
+    Parameters
     ----------
     path : (N, L, A E) uint8, values of :class:`SignalPath`; cell ``a E + e`` for azimuth bin a and elevation bin e
     excess_m : (N, L, A E) float32, shortest one-bounce excess, 0 for none
@@ -98,17 +102,89 @@ class SkyMask:
     spacing_m, length_m, closed : distance between stations, length of the road, whether the road is closed
     digest : digest of the inputs, see :meth:`digest_of`
     faces : what reflects and diffracts signals; without stations for a mask that is not made by ray casting
+
+    Attributes
+    ----------
+    rows : the mask as kernels take it, and as it is held; the tables above are made of it when they are asked for
+
+    Raises
+    ------
+    InputError
+        More than 16383 cells of a station reflect.
     """
 
-    path: NDArray[np.uint8]
-    excess_m: NDArray[np.float32]
-    azimuths: int
-    elevations: int
-    spacing_m: float
-    length_m: float
-    closed: bool
-    digest: str = ""
-    faces: Faces = field(default_factory=Faces.none)
+    def __init__(
+        self,
+        path: NDArray[np.uint8],
+        excess_m: NDArray[np.float32],
+        azimuths: int,
+        elevations: int,
+        spacing_m: float,
+        length_m: float,
+        closed: bool,
+        digest: str = "",
+        faces: Faces | None = None,
+    ) -> None:
+        rules = _rules(azimuths, elevations, spacing_m, length_m, closed)
+        self.rows, self.digest = _packed(rules, path, excess_m, Faces.none() if faces is None else faces), digest
+
+    @classmethod
+    def of_rows(cls, rows: MaskRows, digest: str = "") -> Self:
+        """The mask of rows."""
+        mask = cls.__new__(cls)
+        mask.rows, mask.digest = rows, digest
+        return mask
+
+    @property
+    def path(self) -> NDArray[np.uint8]:
+        """(N, L, A E) values of :class:`SignalPath`."""
+        return (self.rows.cell & ((1 << PATH_BITS) - 1)).astype(np.uint8)
+
+    @property
+    def excess_m(self) -> NDArray[np.float32]:
+        """(N, L, A E) shortest one-bounce excess, 0 for none."""
+        return self._spread("excess", np.zeros(self.rows.cell.shape, np.float32))
+
+    @property
+    def faces(self) -> Faces:
+        """What reflects and diffracts signals."""
+        rows = self.rows
+        if not rows.edge.shape[0]:
+            return Faces.none()
+        face = self._spread("face", np.full((*rows.cell.shape, STRONGEST), -1, np.int32))
+        return Faces(face, rows.edge, rows.faces, rows.edges)
+
+    @property
+    def azimuths(self) -> int:
+        """Number of bins over 2 pi."""
+        return int(self.rows.rules["azimuths"][0])
+
+    @property
+    def elevations(self) -> int:
+        """Number of bins over pi / 2."""
+        return int(self.rows.rules["elevations"][0])
+
+    @property
+    def spacing_m(self) -> float:
+        """Distance between stations."""
+        return float(self.rows.rules["spacing"][0])
+
+    @property
+    def closed(self) -> bool:
+        """Whether the road is closed."""
+        return bool(self.rows.rules["closed"][0])
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of all this."""
+        return sum(array.nbytes for array in self.rows)
+
+    def _spread(self, name: str, out: NDArray[Any]) -> NDArray[Any]:
+        """Fill ``out`` (N, L, A E, ...) with a field of the reflections of the cells that have one."""
+        number = self.rows.cell >> PATH_BITS
+        at = (self.rows.first[..., None] + number - 1)[number > 0]
+        out[number > 0] = self.rows.reflection[name][at]
+        return out
 
     @classmethod
     def open(cls) -> SkyMask:
@@ -154,19 +230,9 @@ class SkyMask:
         arc = spacing * np.arange(count if road.closed else count + 1, dtype=np.float64)
         antenna = antennas_along(road, arc, lane_count, antenna_height_m)
         rows = np.arange(arc.size * lane_count).reshape(arc.size, lane_count)
-        path, excess, faces = _cast(city, antenna.reshape(-1, 3), rows, azimuths, elevations)
         digest = cls.digest_of(road, city, station_spacing_m, lanes, antenna_height_m, az_step_deg, el_step_deg)
-        return cls(
-            path,
-            excess,
-            azimuths,
-            elevations,
-            spacing,
-            road.length_m,
-            road.closed,
-            digest,
-            faces,
-        )
+        rules = _rules(azimuths, elevations, spacing, road.length_m, road.closed)
+        return cls.of_rows(_cast(rules, city, antenna.reshape(-1, 3), rows), digest)
 
     @classmethod
     def of_stations(
@@ -192,9 +258,8 @@ class SkyMask:
         each, rows = distinct_antennas(antenna_enu_m)
         require_in_range("spacing_m", spacing_m, 0.0, 1e4, low_open=True)
         azimuths, elevations = cells_of(az_step_deg, el_step_deg)
-        path, excess, faces = _cast(city, each, rows, azimuths, elevations)
-        length = spacing_m * rows.shape[0]
-        return cls(path, excess, azimuths, elevations, spacing_m, length, False, digest, faces)
+        rules = _rules(azimuths, elevations, spacing_m, spacing_m * rows.shape[0], False)
+        return cls.of_rows(_cast(rules, city, each, rows), digest)
 
     @staticmethod
     def digest_of(
@@ -245,31 +310,9 @@ class SkyMask:
         look_up_rows(self.rows, sky.rows, sky.index, arc, lanes, out)
         return Reception.of(out)
 
-    @cached_property
-    def rows(self) -> MaskRows:
-        """The mask as kernels take it."""
-        rules = one_record(
-            MASK_RULES,
-            spacing=self.spacing_m,
-            length=self.length_m,
-            closed=self.closed,
-            azimuths=self.azimuths,
-            elevations=self.elevations,
-        )
-        faces = self.faces
-        return MaskRows(rules, self.path, self.excess_m, faces.face, faces.edge, faces.table, faces.edges)
-
     def save(self, path: str | Path) -> None:
         """Write the mask to an ``.npz`` file."""
-        np.savez(
-            path,
-            path=self.path,
-            excess_m=self.excess_m,
-            bins=np.array([self.azimuths, self.elevations, int(self.closed)]),
-            stations=np.array([self.spacing_m, self.length_m]),
-            digest=np.array(self.digest),
-            **self.faces.as_arrays(),
-        )
+        np.savez(path, digest=np.array(self.digest), **self.rows._asdict())
 
     @classmethod
     def load(cls, path: str | Path, digest: str | None = None) -> SkyMask:
@@ -282,19 +325,63 @@ class SkyMask:
         """
         try:
             with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
-                table, excess, found = data["path"], data["excess_m"], str(data["digest"])
-                azimuths, elevations, closed = (int(v) for v in data["bins"])
-                spacing, length = (float(v) for v in data["stations"])
-                faces = Faces.of_arrays(data)
+                mask = cls.of_rows(rows_in(data), str(data["digest"]))
         except (OSError, EOFError, KeyError, ValueError, BadZipFile) as exc:
             raise InputError(
                 f"sky mask {path} must be an .npz file written by save, got: {exc}; build it again"
             ) from exc
-        if digest is not None and found != digest:
-            raise InputError(f"sky mask {path} must be of inputs {digest}, got {found}: build it again")
-        if table.ndim != 3 or table.shape != excess.shape or table.shape[2] != azimuths * elevations:
-            raise InputError(f"sky mask {path} must hold tables (N, L, {azimuths * elevations}), got {table.shape}")
-        return cls(table, excess, azimuths, elevations, spacing, length, bool(closed), found, faces)
+        if digest is not None and mask.digest != digest:
+            raise InputError(f"sky mask {path} must be of inputs {digest}, got {mask.digest}: build it again")
+        return mask
+
+
+def rows_in(data: Mapping[str, NDArray[Any]]) -> MaskRows:
+    """The rows of a mask from the arrays of a file.
+
+    Raises
+    ------
+    KeyError, ValueError
+        An array is missing, or does not fit the others.
+    """
+    rows = MaskRows(*(data[name] for name in MaskRows._fields))
+    for name, kind in (("rules", MASK_RULES), ("reflection", REFLECTION), ("faces", FACE), ("edges", EDGE_LINE)):
+        if data[name].dtype != kind:
+            raise ValueError(f"{name} has other fields")
+    cells = int(rows.rules["azimuths"][0] * rows.rules["elevations"][0])
+    if rows.cell.dtype != np.uint16 or rows.cell.shape != (*rows.first.shape, cells):
+        raise ValueError(f"tables must hold (N, L, {cells}) cells, got {rows.cell.shape}")
+    return rows
+
+
+def _rules(azimuths: int, elevations: int, spacing_m: float, length_m: float, closed: bool) -> Records:
+    figures = {"spacing": spacing_m, "length": length_m, "closed": closed}
+    return one_record(MASK_RULES, **figures, azimuths=azimuths, elevations=elevations)
+
+
+def _packed(rules: Records, path: NDArray[np.uint8], excess_m: NDArray[np.float32], faces: Faces) -> MaskRows:
+    """The rows of tables (..., A E) of any number of antennas.
+
+    Raises
+    ------
+    InputError
+        Too many cells of an antenna reflect.
+    """
+    reflects = excess_m != 0.0
+    if faces.face.size:
+        reflects |= faces.face[..., 0] >= 0
+    count = reflects.sum(-1)
+    if (worst := int(count.max(initial=0))) >= 1 << (16 - PATH_BITS):
+        raise InputError(
+            f"a station must have below {1 << (16 - PATH_BITS)} reflecting cells, got {worst}: widen cells"
+        )
+    number = np.cumsum(reflects, -1, dtype=np.uint16)
+    number *= reflects
+    reflection = np.zeros(int(count.sum()), REFLECTION)
+    reflection["excess"] = excess_m[reflects]
+    reflection["face"] = faces.face[reflects] if faces.face.size else -1
+    first = np.cumsum(count).reshape(count.shape) - count
+    cell = path | (number << PATH_BITS)
+    return MaskRows(rules, cell.astype(np.uint16), first, reflection, faces.edge, faces.table, faces.edges)
 
 
 def distinct_antennas(antenna_enu_m: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
@@ -342,21 +429,19 @@ def cell_centres(azimuths: int, elevations: int) -> Array:
     return out.reshape(-1, 3)
 
 
-def _cast(
-    city: City, antenna: Array, rows: NDArray[np.int64], azimuths: int, elevations: int
-) -> tuple[NDArray[np.uint8], NDArray[np.float32], Faces]:
-    """Compute paths and excesses (N, L, A E), and faces, for antennas (P, 3) and the index (N, L) of each in them."""
-    count = antenna.shape[0]
+def _cast(rules: Records, city: City, antenna: Array, rows: NDArray[np.int64]) -> MaskRows:
+    """Compute the rows of a mask for antennas (P, 3) and the index (N, L) of each in them."""
+    azimuths, elevations, count = int(rules["azimuths"][0]), int(rules["elevations"][0]), antenna.shape[0]
     path = np.empty((count, azimuths * elevations), dtype=np.uint8)
     excess = np.empty(path.shape, dtype=np.float32)
     found = np.empty((*path.shape, STRONGEST), dtype=np.int32)
     edge = np.empty((count, azimuths), dtype=np.int32)
     cells = cell_centres(azimuths, elevations)
     permittivity = permittivities(material_table(), RAY_HZ)[city.material]
-    arguments = cells, azimuths, elevations, permittivity, path, excess, found
-    run_rows(mask_rows, count, city.grid, antenna, *arguments, row_us=1000.0)
-    run_rows(edge_rows, count, city.grid, antenna, azimuths, elevations, path, edge, row_us=300.0)
-    return path[rows], excess[rows], Faces.of_triangles(city, found[rows], edge[rows])
+    arguments = cells, azimuths, elevations, permittivity, path, excess, found, edge
+    run_rows(mask_rows, count, city.grid, antenna, *arguments, row_us=300.0)
+    each = _packed(rules, path, excess, Faces.of_triangles(city, found, edge))
+    return each._replace(cell=each.cell[rows], first=each.first[rows], edge=each.edge[rows])
 
 
 def antennas_along(road: Road, arc_m: Array, lanes: int, height_m: float) -> Array:

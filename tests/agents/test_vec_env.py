@@ -74,7 +74,7 @@ def test_it_does_what_a_dummy_of_single_environments_does() -> None:
 
 
 def test_options_and_seeds_are_checked_and_options_hold_for_one_reset() -> None:
-    engine = EngineVecEnv("lanebound/LaneKeeping-v0", 2, {"sky": "open", "layouts": 1})
+    engine = EngineVecEnv("lanebound/LaneKeeping-v0", 2, {"sky": "open", "cities": {"count": 1}})
     for options in ([{}], [{}] * 3):
         with pytest.raises(InputError, match=f"one for each of 2 environments, got {len(options)} of them"):
             engine.set_options(options)
@@ -171,7 +171,7 @@ def test_episodes_are_those_of_vec_monitor() -> None:
 
 def test_each_environment_takes_faults_of_its_own() -> None:
     """As a dummy of single environments does; they count for one episode."""
-    config = {"sky": "open", "layouts": 1, "duration_s": 1.0}
+    config = {"sky": "open", "cities": {"count": 1}, "duration_s": 1.0}
     engine = EngineVecEnv("lanebound/LaneKeeping-v0", 2, config, keys=("mode", "pl_ct_m"))
     single = DummyVecEnv([lambda: gymnasium.make("lanebound/LaneKeeping-v0", config=config) for _ in range(2)])
     for env in (engine, single):

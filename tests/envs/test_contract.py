@@ -39,7 +39,7 @@ Step = tuple[Any, float, bool, bool, dict[str, Any]]
 
 def light(env_id: str, **config: Any) -> dict[str, Any]:
     """A configuration with little traffic, under an open sky over one made-up city."""
-    return {"sky": "open", "layouts": 1, "world": FEW.get(env_id, {}), **config}
+    return {"sky": "open", "cities": {"count": 1}, "world": FEW.get(env_id, {}), **config}
 
 
 def rough(env_id: str) -> dict[str, Any]:

@@ -148,7 +148,12 @@ def test_the_engine_drives_them_as_the_single_environment(name: str, config: dic
 
 
 def test_wrong_senders_are_the_same_in_the_engine() -> None:
-    few = {"sky": "open", "layouts": 1, "extent_m": 300.0, "perception": {"source": "both", "wrong_share": 0.7}}
+    few = {
+        "sky": "open",
+        "cities": {"count": 1},
+        "extent_m": 300.0,
+        "perception": {"source": "both", "wrong_share": 0.7},
+    }
     pairs = Pairs("CarFollowing", {**few, "world": {"platoon": 2}}, 2, 3)
     pairs.step(6)
     require_equal(pairs.tally)

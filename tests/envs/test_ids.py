@@ -25,7 +25,7 @@ from lanebound.integrity.sensors.fault_registry import fault_kinds
 from lanebound.integrity.sensors.faults import Fault
 
 ROOT = Path(__file__).parents[2]
-LIGHT = {"sky": "open", "layouts": 1}
+LIGHT = {"sky": "open", "cities": {"count": 1}}
 every_class = pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.__name__)
 
 

@@ -86,8 +86,12 @@ def test_no_place_to_write_is_no_failure(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_memory_and_disk_are_bounded(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "IN_MEMORY", 2)
-    monkeypatch.setattr(cache, "ON_DISK", 3)
-    for seed in range(5):
+    build_street(road(20.0), LEVEL, 0)
+    size = next(place.iterdir()).stat().st_size
+    monkeypatch.setattr(cache, "ON_DISK_BYTES", 4 * size)
+    for seed in range(1, 12):
         build_street(road(20.0), LEVEL, seed)
     assert len(cache._recent) == 2
-    assert len(list(place.iterdir())) == 3
+    kept = list(place.iterdir())
+    assert len(kept) >= 2
+    assert sum(file.stat().st_size for file in kept) <= 4 * size

@@ -156,7 +156,7 @@ def test_who_obeys_an_alert_does_not_block_and_who_stands_does(share: float, lac
 @pytest.mark.parametrize("env_id", [id_of(kind) for kind in PRICED])
 def test_a_priced_id_is_the_other_one_with_prices(env_id: str) -> None:
     """Made by Gymnasium alone and in the engine; what it changes beside them is the limit and followers."""
-    light = {"sky": "open", "layouts": 1}
+    light = {"sky": "open", "cities": {"count": 1}}
     env = gymnasium.make(env_id, config=light).unwrapped
     engine = gymnasium.make_vec(env_id, num_envs=1, config=light)
     assert isinstance(env, DrivingEnv)

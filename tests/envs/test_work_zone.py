@@ -227,7 +227,7 @@ def test_the_engine_drives_it_as_the_single_environment(seeds: range) -> None:
 
 
 def test_with_navigation_and_waiting_episodes_too() -> None:
-    pairs = Pairs("WorkZone", {"sky": "open", "layouts": 1, "extent_m": 300.0}, 2, 5)
+    pairs = Pairs("WorkZone", {"sky": "open", "cities": {"count": 1}, "extent_m": 300.0}, 2, 5)
     pairs.step(8)
     pairs.reset(np.arange(2), None)  # episodes that have waited bring their closures with them
     pairs.step(8)

@@ -73,7 +73,7 @@ def episode(env: gym.Env[Any, Any]) -> list[tuple[Any, float, bool, bool, dict[s
 
 
 def real() -> gym.Env[Any, Any]:
-    return gym.make(ID, config={"sky": "open", "layouts": 1})
+    return gym.make(ID, config={"sky": "open", "cities": {"count": 1}})
 
 
 def statistics(*changes: dict[str, Any]) -> dict[str, Any]:
@@ -307,7 +307,7 @@ def test_costs_of_a_vector_are_those_of_the_steps_made(mode: str) -> None:
 
 
 def test_the_engine_gives_the_cost_of_a_last_step_as_single_environments_do() -> None:
-    config = {"sky": "open", "layouts": 1}
+    config = {"sky": "open", "cities": {"count": 1}}
     envs = SafetyGymnasiumVector(gym.make_vec(ID, 2, config=config, autoreset_mode="SameStep"))
     envs.reset(seed=2)
     single = SafetyGymnasium(gym.make(ID, config=config))
@@ -359,7 +359,9 @@ def test_statistics_come_through_a_vector() -> None:
 @pytest.mark.parametrize("history", [1, 2])
 def test_gymnasium_flattens_group_by_group_and_our_flat_form_moment_by_moment(history: int) -> None:
     def seen(form: str) -> gym.Env[Any, Any]:
-        return gym.make(ID, config={"sky": "open", "layouts": 1, "observation": {"form": form, "history": history}})
+        return gym.make(
+            ID, config={"sky": "open", "cities": {"count": 1}, "observation": {"form": form, "history": history}}
+        )
 
     by_group, by_moment, groups = FlattenObservation(seen("dict")), seen("flat"), seen("dict")
     for env in (by_group, by_moment, groups):

@@ -39,7 +39,7 @@ def test_a_sound_agent(env):
 
 
 def test_an_outcome_tells_the_one_fault_of_its_episode():
-    struck = open_env("LaneKeeping", {"sky": "open", "layouts": 1, "faults": "one", "duration_s": 1.0})
+    struck = open_env("LaneKeeping", {"sky": "open", "cities": {"count": 1}, "faults": "one", "duration_s": 1.0})
     _, outcome = run_episode(struck, lambda e: make_agent("nominal", e), TASK)
     _, info = struck.reset(seed=TASK.seed)
     assert outcome.fault_kind == fault_kinds()[int(info["fault_kind"])].name

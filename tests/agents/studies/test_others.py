@@ -37,12 +37,12 @@ def test_a_study_of_few_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(module, "EPISODES", 8)
     monkeypatch.setattr(recordings, "cache_root", lambda: tmp_path)
     recordings._recordings.cache_clear()
-    env = make_config("lanebound/CarFollowing-v0", {"sky": "open", "layouts": 3, "duration_s": 2.0})
+    env = make_config("lanebound/CarFollowing-v0", {"sky": "open", "cities": {"count": 3}, "duration_s": 2.0})
     result = assess_others(OthersConfig(episodes=8, exchanges=99), env, tmp_path / "out")
     recordings._recordings.cache_clear()
     assert json.loads((tmp_path / "out" / "results.json").read_text())["tests"].keys() == {"same", "other"}
     rows = difference_rows(result)[1]
     assert len(rows) == 18
     assert all(0.0 < test["p"] <= 1.0 for kind in result["tests"].values() for test in kind.values())
-    with pytest.raises(InputError, match="layouts must be 3 or more for a test by city, got 2"):
-        assess_others(OthersConfig(), env.replace(layouts=2), tmp_path / "few")
+    with pytest.raises(InputError, match=r"cities\.count must be 3 or more for a test by city, got 2"):
+        assess_others(OthersConfig(), env.replace(cities={"count": 2}), tmp_path / "few")

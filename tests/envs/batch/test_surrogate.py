@@ -25,7 +25,7 @@ from lanebound.integrity.core.records import one_record
 
 EPOCHS, CREW = 6, 3
 pytestmark = pytest.mark.usefixtures("few_recordings")
-FEW: dict[str, Any] = {"sky": "open", "layouts": 1, "duration_s": 2.0, "perception": {"others": "surrogate"}}
+FEW: dict[str, Any] = {"sky": "open", "cities": {"count": 1}, "duration_s": 2.0, "perception": {"others": "surrogate"}}
 RNG = np.random.default_rng(3)  # of poses and errors on which no result depends
 TRAIT = one_record(TRAITS, still_mps=0.15, speed_s=0.02, course_s=0.03)
 
@@ -135,7 +135,7 @@ def test_what_errors_have_in_common_with_motion_is_taken_out() -> None:
 
 def test_the_ego_of_a_recording_does_not_matter() -> None:
     """In Intersection one that seems to stand inside keeps the others from entering."""
-    config = make_config("lanebound/Intersection-v0", {"sky": "open", "layouts": 1, "duration_s": 6.0})
+    config = make_config("lanebound/Intersection-v0", {"sky": "open", "cities": {"count": 1}, "duration_s": 6.0})
     driven = []
     for away_m in (recordings.AWAY_M, 2.0 * recordings.AWAY_M):
         recorder = Recorder(DrivingEnv(config), 3, away_m)
@@ -223,7 +223,7 @@ def test_lies_of_those_without_receivers_are_refused() -> None:
 def test_one_that_enters_knows_where_it_is() -> None:
     """Its navigator begins where the epoch has begun in which it enters; a step later would be 0.45 m ahead."""
     config = make_config(
-        "lanebound/Intersection-v0", {"sky": "open", "layouts": 1, "world": {"spawn_probability": 0.9}}
+        "lanebound/Intersection-v0", {"sky": "open", "cities": {"count": 1}, "world": {"spawn_probability": 0.9}}
     )
     notes = Recorder(DrivingEnv(config), 4, recordings.AWAY_M).record([1, 2, 3, 4], 60)
     key, said = notes["move"]["key"], notes["said"]

@@ -29,7 +29,7 @@ from lanebound.envs.vector.processes import EngineProcesses
 from lanebound.integrity.core.errors import InputError
 
 COUNT = 5
-CONFIG: dict[str, Any] = {"sky": "open", "layouts": 1, "duration_s": 3.0, "faults": "stress"}
+CONFIG: dict[str, Any] = {"sky": "open", "cities": {"count": 1}, "duration_s": 3.0, "faults": "stress"}
 Pair = tuple[VectorDrivingEnv, VectorDrivingEnv]
 
 

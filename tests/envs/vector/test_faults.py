@@ -24,8 +24,8 @@ from lanebound.integrity.sensors.fault_registry import fault_kinds
 from lanebound.integrity.sensors.faults import Fault
 from side_by_side import PERFECT, Pairs, require_equal
 
-SMALL: dict[str, Any] = {"sky": "open", "layouts": 1}
-FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
+SMALL: dict[str, Any] = {"sky": "open", "cities": {"count": 1}}
+FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "cities": {"count": 2}}
 GENTLE: Mapping[str, Any] = {
     "satellite_range": {"magnitude_m": 6.0, "profile": "ramp", "ramp_s": 1.0},
     "constellation": {"magnitude_m": 3.0, "profile": "ramp", "ramp_s": 1.0},

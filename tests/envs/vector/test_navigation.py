@@ -18,12 +18,12 @@ from lanebound.integrity.core.errors import ConfigError
 from side_by_side import Pairs, Tally, require_equal
 
 pytestmark = pytest.mark.usefixtures("few_recordings")
-FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
+FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "cities": {"count": 2}}
 CITY: dict[str, Any] = {
     "world": {"vehicles_count": 6, "spread": [-60.0, 90.0]},
     "sky": "urban",
     "extent_m": 300.0,
-    "layouts": 2,
+    "cities": {"count": 2},
 }
 SURROGATE: dict[str, Any] = {"perception": {"others": "surrogate"}, "duration_s": 8.0}
 TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
@@ -33,8 +33,8 @@ CARRIERS: dict[str, Any] = {"navigator": {"positioning": {"doppler": {"carriers"
 BUDGET: dict[str, Any] = {"alert_limit": "budget"}
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
 CASES: list[tuple[str, dict[str, Any], int]] = [
-    ("LaneKeeping", {"sky": "dense", "layouts": 2}, 25),
-    ("LaneKeeping", {"sky": "urban", "layouts": 2, **SEQUENTIAL}, 15),
+    ("LaneKeeping", {"sky": "dense", "cities": {"count": 2}}, 25),
+    ("LaneKeeping", {"sky": "urban", "cities": {"count": 2}, **SEQUENTIAL}, 15),
     ("LaneKeeping", {"sky": "open", "action": "meta", "observation": {"history": 2, "satellites_m": []}}, 8),
     ("CarFollowing", {"sky": "open"}, 15),
     ("Highway", {**FEW, **BOTH, "sky": "open"}, 6),
@@ -44,24 +44,24 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Highway", {**FEW, **PERFECT, "sky": "open"}, 5),
     ("UrbanCanyon", {**CITY, "sky": "open"}, 8),
     ("UrbanCanyon", {**CITY, **BOTH}, 6),
-    ("LaneKeeping", {"sky": "urban", "layouts": 2, "navigator": "services/rtk_dfmc"}, 15),
+    ("LaneKeeping", {"sky": "urban", "cities": {"count": 2}, "navigator": "services/rtk_dfmc"}, 15),
     ("CarFollowing", {"sky": "open", "navigator": "services/sbas_l1"}, 8),
     ("CarFollowing", {"sky": "open", **NEAR}, 8),
-    ("LaneKeeping", {"sky": "urban", "layouts": 2, **CARRIERS}, 25),
+    ("LaneKeeping", {"sky": "urban", "cities": {"count": 2}, **CARRIERS}, 25),
     ("Highway", {**FEW, **SENSOR, **NEAR}, 5),
-    ("Racetrack", {"sky": "open", "layouts": 1}, 8),
-    ("Merge", {"sky": "urban", "layouts": 1, **BOTH}, 8),
-    ("Roundabout", {"sky": "urban", "layouts": 1}, 12),
-    ("Roundabout", {"sky": "open", "layouts": 1, **SENSOR, "observation": {"integrity": "oracle"}}, 6),
-    ("Intersection", {"sky": "open", "layouts": 1}, 14),
-    ("Intersection", {"sky": "open", "layouts": 1, **TRUTH}, 8),
+    ("Racetrack", {"sky": "open", "cities": {"count": 1}}, 8),
+    ("Merge", {"sky": "urban", "cities": {"count": 1}, **BOTH}, 8),
+    ("Roundabout", {"sky": "urban", "cities": {"count": 1}}, 12),
+    ("Roundabout", {"sky": "open", "cities": {"count": 1}, **SENSOR, "observation": {"integrity": "oracle"}}, 6),
+    ("Intersection", {"sky": "open", "cities": {"count": 1}}, 14),
+    ("Intersection", {"sky": "open", "cities": {"count": 1}, **TRUTH}, 8),
     ("Highway", {**FEW, **SURROGATE}, 10),
     ("Highway", {**FEW, **BUDGET}, 8),
-    ("CarFollowing", {"sky": "urban", "layouts": 1, **BUDGET}, 15),
-    ("Merge", {"sky": "open", "layouts": 1, **PERFECT, **BUDGET}, 8),
+    ("CarFollowing", {"sky": "urban", "cities": {"count": 1}, **BUDGET}, 15),
+    ("Merge", {"sky": "open", "cities": {"count": 1}, **PERFECT, **BUDGET}, 8),
     ("CarFollowing", {"sky": "open", **PERFECT, **SURROGATE}, 10),
     ("UrbanCanyon", {**CITY, **SURROGATE, "perception": {"source": "both", "others": "surrogate"}}, 6),
-    ("Intersection", {"sky": "open", "layouts": 1, **SURROGATE}, 8),
+    ("Intersection", {"sky": "open", "cities": {"count": 1}, **SURROGATE}, 8),
 ]
 
 
@@ -85,14 +85,14 @@ def test_an_oracle_is_foretold_the_sky_of_its_true_lane() -> None:
 def test_under_a_recorded_sky_it_is_the_single_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "folder", lambda: tmp_path / "streets")
     wall_on_the_left().save(tmp_path / "wall.csv")
-    pairs = Pairs("LaneKeeping", {"sky": str(tmp_path / "wall.csv"), "layouts": 2}, 3, 5)
+    pairs = Pairs("LaneKeeping", {"sky": str(tmp_path / "wall.csv"), "cities": {"count": 2}}, 3, 5)
     pairs.step(25)
     require_equal(pairs.tally)
     assert pairs.tally.steps >= 20
 
 
 def test_an_episode_that_starts_while_others_drive_is_the_single_one() -> None:
-    pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
+    pairs = Pairs("CarFollowing", {"sky": "open", "cities": {"count": 1}}, 2, 5)
     for steps in (1, 7, 4):  # whatever the others' messages are at
         pairs.step(steps)
         pairs.reset(np.array([1]), 40 + steps)
@@ -116,18 +116,24 @@ def detector(kind: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("name", "config"),
     [
-        ("LaneKeeping", {"sky": "dense", "layouts": 2, "observation": {"history": 2, "satellites_m": []}}),
-        ("LaneKeeping", {"sky": "dense", "layouts": 2, "navigator": {**DIRECTION, **detector("code_doppler")}}),
-        ("LaneKeeping", {"sky": "dense", "layouts": 2, "navigator": detector("two_band_cn0")}),
-        ("CarFollowing", {"sky": "open", "layouts": 2, **OUTAGES, **PERFECT, **SENSOR}),
-        ("LaneKeeping", {"sky": "open", "layouts": 2, "navigator": OUTAGES["navigator"] | COLD["navigator"]}),
+        ("LaneKeeping", {"sky": "dense", "cities": {"count": 2}, "observation": {"history": 2, "satellites_m": []}}),
+        (
+            "LaneKeeping",
+            {"sky": "dense", "cities": {"count": 2}, "navigator": {**DIRECTION, **detector("code_doppler")}},
+        ),
+        ("LaneKeeping", {"sky": "dense", "cities": {"count": 2}, "navigator": detector("two_band_cn0")}),
+        ("CarFollowing", {"sky": "open", "cities": {"count": 2}, **OUTAGES, **PERFECT, **SENSOR}),
+        ("LaneKeeping", {"sky": "open", "cities": {"count": 2}, "navigator": OUTAGES["navigator"] | COLD["navigator"]}),
         ("Highway", {**FEW, **OUTAGES}),
         ("UrbanCanyon", {**CITY, **BOTH}),
-        ("Intersection", {"sky": "open", "layouts": 1, **BOTH, "world": {"spawn_probability": 0.5}}),
-        ("Intersection", {"sky": "open", "layouts": 1, **SURROGATE, "world": {"spawn_probability": 0.5}}),
-        ("Intersection", {"sky": "urban", "layouts": 2, "extent_m": 300.0, "world": {"spawn_probability": 0.6}}),
-        ("LaneKeeping", {"sky": "open", "layouts": 1, "navigation": {"warm_up_s": 0.75}}),
-        ("LaneKeeping", {"sky": "open", "layouts": 1, **CARRIERS}),
+        ("Intersection", {"sky": "open", "cities": {"count": 1}, **BOTH, "world": {"spawn_probability": 0.5}}),
+        ("Intersection", {"sky": "open", "cities": {"count": 1}, **SURROGATE, "world": {"spawn_probability": 0.5}}),
+        (
+            "Intersection",
+            {"sky": "urban", "cities": {"count": 2}, "extent_m": 300.0, "world": {"spawn_probability": 0.6}},
+        ),
+        ("LaneKeeping", {"sky": "open", "cities": {"count": 1}, "navigation": {"warm_up_s": 0.75}}),
+        ("LaneKeeping", {"sky": "open", "cities": {"count": 1}, **CARRIERS}),
     ],
 )
 def test_later_episodes_are_those_of_the_single_one(name: str, config: dict[str, Any]) -> None:
@@ -142,7 +148,7 @@ def test_later_episodes_are_those_of_the_single_one(name: str, config: dict[str,
 
 
 def test_a_start_that_was_interrupted_is_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
+    pairs = Pairs("CarFollowing", {"sky": "open", "cities": {"count": 1}}, 2, 5)
 
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
@@ -158,7 +164,7 @@ def test_a_start_that_was_interrupted_is_made_again(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_seed_puts_an_end_to_what_was_ready() -> None:
-    pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
+    pairs = Pairs("CarFollowing", {"sky": "open", "cities": {"count": 1}}, 2, 5)
     pairs.reset(np.array([0]), None)  # makes the next of both ready
     pairs.reset(np.array([1]), 77)
     pairs.reset(np.array([1]), None)
@@ -236,7 +242,7 @@ def test_what_navigation_cannot_do_is_refused(change: dict[str, Any], message: s
 def test_undifferenced_observables_are_those_of_the_single_environment() -> None:
     """The engine has places for the satellites of all hours; those in view have the same bits."""
     undifferenced = {"navigator": {"gnss": {"undifferenced": True}}}
-    pairs = Pairs("LaneKeeping", {"sky": "open", "layouts": 1, **undifferenced}, 2, 11)
+    pairs = Pairs("LaneKeeping", {"sky": "open", "cities": {"count": 1}, **undifferenced}, 2, 11)
     pairs.step(3)
     navigation: Any = pairs.engine.episodes.navigation
     batch = navigation.measurements.gnss

@@ -121,7 +121,7 @@ def test_neighbours_are_found_across_the_ends_of_roads(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["Roundabout", "Intersection"])
 def test_a_belief_is_kept_to_its_route_as_the_single_environments(name: str) -> None:
-    single = DrivingEnv(make_config(f"lanebound/{name}-v0", {"sky": "open", "layouts": 1}))
+    single = DrivingEnv(make_config(f"lanebound/{name}-v0", {"sky": "open", "cities": {"count": 1}}))
     single.reset(seed=4)
     loop: Any = single.belief_loop
     e, table = loop.episodes, loop.episodes.table

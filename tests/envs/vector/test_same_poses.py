@@ -22,14 +22,14 @@ SOURCES = ("v2v", "sensor", "both", "truth", "none")
 SHOWN = ("full", "blind", "oracle")
 ACTIONS = ("meta", "continuous")
 POSITIONS = ("navigator", "perfect")
-CITY: dict[str, Any] = {"sky": "urban", "layouts": 1, "extent_m": 300.0}
+CITY: dict[str, Any] = {"sky": "urban", "cities": {"count": 1}, "extent_m": 300.0}
 FEW = [  # every pair of two options
     (name, source, SHOWN[(i + j) % 3], ACTIONS[(i + j) % 2], POSITIONS[(i + j // 2) % 2])
     for i, name in enumerate(WORLDS)
     for j, source in enumerate(SOURCES)
 ]
 OTHERS: list[tuple[str, dict[str, Any]]] = [
-    ("LaneKeeping", {"sky": "dense", "layouts": 2, "observation": {"history": 2, "satellites_m": []}}),
+    ("LaneKeeping", {"sky": "dense", "cities": {"count": 2}, "observation": {"history": 2, "satellites_m": []}}),
     ("LaneKeeping", {"navigation": {"source": "offset", "offset_at_m": 0.7, "offset_ct_m": -0.4}}),
     ("CarFollowing", {"sky": "open", "navigator": {"corrections": {"outage_per_h": 900.0}}}),
     ("Highway", {"action": "continuous", "actuators": None, "keep_lane": False, "reward": {"base": 0.5}}),

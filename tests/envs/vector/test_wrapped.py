@@ -26,7 +26,7 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("u-turn-v0", {**OWN, "action": "continuous"}, 12),
     ("u-turn-v1", OWN, 20),
 ]
-SENSED: dict[str, Any] = {"sky": "open", "layouts": 1, "extent_m": 300.0, "world": {}}
+SENSED: dict[str, Any] = {"sky": "open", "cities": {"count": 1}, "extent_m": 300.0, "world": {}}
 
 
 def _named(value: Any) -> str:

@@ -1,0 +1,107 @@
+"""The cities of an engine: more than it holds at a time, and the same episodes as those of single environments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lanebound.envs.batch.lanes import lane_table
+from lanebound.envs.batch.skies import Cities
+from lanebound.envs.core import DrivingEnv
+from lanebound.envs.registration import make_config
+from lanebound.envs.sky import Street, build_street
+from lanebound.envs.vector.engine import Engine
+from lanebound.integrity.sky.visibility import SkyMask
+from tests.helpers.side_by_side import Pairs, require_equal
+
+MANY: dict[str, Any] = {"cities": {"count": 200}, "extent_m": 300.0, "duration_s": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("LaneKeeping", {"cities": {"count": 200, "vary": True}}),
+        ("UrbanCanyon", {"world": {"vehicles_count": 2}}),
+        ("Merge", {"cities": {"split": "test"}}),
+    ],
+)
+def test_an_episode_in_any_city_is_the_single_one(name: str, change: dict[str, Any]) -> None:
+    pairs = Pairs(name, {**MANY, **change}, 2, 5)
+    for start in range(3):
+        pairs.step(3)
+        pairs.reset(np.array([start % 2]), None)  # the next of its generator, prepared with others
+    pairs.step(2)
+    require_equal(pairs.tally)
+
+
+def street_of(seed: int) -> Street:
+    """The street of a city along the first metres of a road."""
+    config = make_config("lanebound/LaneKeeping-v0", {"sky": "dense"})
+    network = DrivingEnv(config).world.road.network
+    return build_street(network, config.level, seed, (), 60.0)
+
+
+def cities_of(slots: int) -> Cities:
+    single = DrivingEnv(make_config("lanebound/LaneKeeping-v0"))
+    return Cities(street_of, lane_table(single.world.road.network), slots, 0, street_of(0))
+
+
+def city_at(cities: Cities, arc_m: float, seed: int) -> None:
+    """The slot at an arc holds the mask of a city."""
+    own = street_of(seed)
+    n = len(own.mask.rows.cell)
+    at = slice(begin := round(arc_m / own.mask.spacing_m), begin + n)
+    held, faces = cities.mask, own.mask.faces
+    np.testing.assert_array_equal(held.path[at], own.mask.path)
+    np.testing.assert_array_equal(held.excess_m[at], own.mask.excess_m)
+    np.testing.assert_array_equal(cities.forecast.free[at], own.forecast.free)
+    there = faces.face >= 0
+    np.testing.assert_array_equal(held.faces.table[held.faces.face[at][there]], faces.table[faces.face[there]])
+    seen = faces.edge >= 0
+    np.testing.assert_array_equal(held.faces.edges[held.faces.edge[at][seen]], faces.edges[faces.edge[seen]])
+
+
+def test_a_slot_is_taken_over_when_nobody_is_in_it() -> None:
+    cities = cities_of(3)
+    running, waiting = cities.where(2), cities.where(1)
+    for seeds in ([1, 2], [3, 2], [3, 4], [5, 5], [6, 1]):
+        cities.settle(running, np.arange(2), np.array(seeds))
+        cities.settle(waiting, np.arange(1), np.array(seeds[:1]))
+        for arc, seed in zip([*running.city.tolist(), *waiting.city.tolist()], [*seeds, seeds[0]], strict=True):
+            city_at(cities, arc, seed)
+    assert cities.made == 8, "of 0 to 6, and 1 again"
+
+
+def test_slots_grow_with_the_largest_city() -> None:
+    cities = cities_of(2)
+    cities._widen([1, 1, 1])  # as if the first one had been nearly empty
+    where = cities.where(1)
+    for seed in (7, 8):
+        cities.settle(where, np.arange(1), np.array([seed]))
+        city_at(cities, float(where.city[0]), seed)
+
+
+def test_memory_is_that_of_the_episodes_and_not_of_the_cities() -> None:
+    def held(count: int) -> int:
+        config = make_config("lanebound/LaneKeeping-v0", {**MANY, "cities": {"count": count}})
+        return Engine(DrivingEnv(config), 2).episodes.navigation.cities.nbytes  # type: ignore[union-attr]
+
+    assert held(2**31) == held(200) == held(10), "2 environments that run, and 4 next episodes of each"
+    assert held(5) < 0.6 * held(10)
+
+
+def test_a_cell_takes_about_four_bytes() -> None:
+    mask = street_of(3).mask
+    assert mask.nbytes < 6 * mask.rows.cell.size
+    assert mask.rows.reflection.size > 0.05 * mask.rows.cell.size
+
+
+def test_open_cities_are_one() -> None:
+    config = make_config("lanebound/LaneKeeping-v0", {**MANY, "sky": "open"})
+    engine = Engine(DrivingEnv(config), 2)
+    engine.reset(np.arange(2), [3, 4])
+    cities = engine.episodes.navigation.cities  # type: ignore[union-attr]
+    assert cities.mask.rows.cell.size == SkyMask.open().rows.cell.size
+    assert not engine.episodes.navigation.where.city.any()  # type: ignore[union-attr]
