@@ -24,6 +24,7 @@ from lanebound.envs.recordings import recordings_of
 from lanebound.envs.road_map import road_map_of
 from lanebound.envs.sky import SkyLevel, Street, build_street
 from lanebound.envs.worlds import world_kind
+from lanebound.envs.worlds.street_maps import map_place
 from lanebound.integrity.core.config_errors import joined
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import named_generator
@@ -75,6 +76,7 @@ def _navigator_config(text: str, level: str, limits_m: tuple[float, float]) -> N
             start=config.navigation.start,
             positioning={"axle_m": 0.5 * Vehicle.LENGTH},
             chassis={"wheelbase_m": Vehicle.LENGTH, "axle_m": 0.5 * Vehicle.LENGTH},
+            **map_place(config.world),
         )
     )
     try:
@@ -100,9 +102,14 @@ def make_batch(world: AbstractEnv, config: EnvConfig, count: int, vehicles: int,
     vehicles : that there may be in each
     capacity : slots of the others
     """
-    network, sections = world.road.network, getattr(world, "sections", ())
-    streets = [build_street(network, config.level, n, sections, config.extent_m) for n in range(config.layouts)]
+    streets = [_street(world, config, n) for n in range(config.layouts)]
     return _episodes(world, config, streets, range(HOURS), count, vehicles, capacity)
+
+
+def _street(world: AbstractEnv, config: EnvConfig, layout: int) -> Street:
+    """The street of a world with the obstacles of its map, or with those of a city."""
+    given = getattr(world, "sections", ()), config.extent_m, getattr(world, "surroundings", None)
+    return build_street(world.road.network, config.level, layout, *given)
 
 
 def begin_all(
@@ -189,7 +196,7 @@ def set_scene(
     crew = np.ones((1, capacity if config.perception.others_navigate else 0), dtype=np.bool_)
     starts = draw_starts([seed], config.layouts, HOURS, crew, config.navigation.source.uses_sensors)
     layout, hour = int(starts.layout[0]), int(starts.hour[0])
-    street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
+    street = _street(world, config, layout)
     episodes = _episodes(world, config, [street], [hour], 1, 1 + others, capacity)
     navigation, ends_s = episodes.navigation, duration_s(config, world)
     if faults is not None:

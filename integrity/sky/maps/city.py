@@ -1,0 +1,105 @@
+"""The obstacles of a street map: walls and roofs of its buildings, crowns of its trees, bridges above a way, tunnels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lanebound.integrity.sky.city import StreetConfig
+from lanebound.integrity.sky.maps.polygons import crossing, inside, triangulated
+from lanebound.integrity.sky.maps.records import Solid, StreetMap
+from lanebound.integrity.sky.scene import City, Surface, prisms
+
+__all__ = ["bridges_above", "city_of", "in_buildings", "near_way"]
+
+Array = NDArray[np.float64]
+
+CLEARANCE_M = 4.5  # of passages below buildings: as high as vehicles may be (StVZO 4 m) and half a metre
+REACH_M = 500.0  # from a way: what is farther is below 10 degrees of elevation up to a height of 88 m
+TREE = StreetConfig()  # sizes of trees of generated streets, where the map says nothing
+DECK_M = 1.5  # thickness of a bridge, as of generated overpasses
+OVER_M = 12.0  # length of a bridge on both sides of the middle of the way below it; chosen
+
+
+def city_of(streets: StreetMap) -> City:
+    """Buildings and trees of a map; the buildings have the numbers of the map."""
+    solid = [np.zeros((0, 3, 3))]
+    number = [np.zeros(0, dtype=np.int64)]
+    for one in streets.solids:
+        triangles = _prism(one)
+        solid.append(triangles)
+        number.append(np.full(len(triangles), one.building))
+    _, dense = np.unique(np.concatenate(number), return_inverse=True)
+    walls = np.concatenate(solid)
+    houses = City(walls, np.zeros(len(walls), dtype=np.uint8), dense.astype(np.int64))
+    return houses + City.of(_crowns(streets), Surface.FOLIAGE)
+
+
+def _prism(solid: Solid) -> Array:
+    """Walls and roof of a building, and its lower face if it does not stand on the ground.  (t, 3, 3)."""
+    parts = []
+    for ring in solid.rings_en_m:
+        onward = np.roll(ring, -1, 0)
+        a, b = (np.insert(p, 2, solid.bottom_m, 1) for p in (ring, onward))
+        c, d = (np.insert(p, 2, solid.top_m, 1) for p in (onward, ring))
+        parts += [np.stack([a, b, c], 1), np.stack([a, c, d], 1)]
+    cover = triangulated(solid.rings_en_m)
+    parts.append(np.insert(cover, 2, solid.top_m, 2))
+    if solid.bottom_m > 0.0:
+        parts.append(np.insert(cover[:, ::-1], 2, solid.bottom_m, 2))
+    return np.concatenate(parts)
+
+
+def _crowns(streets: StreetMap) -> Array:
+    """Crowns of trees as boxes.  (t, 3, 3)."""
+    if not streets.trees:
+        return np.zeros((0, 3, 3))
+    middle = np.array([(tree.east_m, tree.north_m) for tree in streets.trees])
+    top = np.array([tree.height_m or TREE.tree_top_m for tree in streets.trees])
+    half = 0.5 * np.array([tree.crown_m or TREE.tree_crown_m for tree in streets.trees])
+    base = np.minimum(TREE.tree_base_m, 0.5 * top)
+    square = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    return prisms(middle[:, None] + half[:, None, None] * square, base, top, floor=True)
+
+
+def near_way(city: City, way_en_m: ArrayLike) -> City:
+    """The obstacles within 500 m of a way (n, 2) [m], in squares of its bounding box; buildings stay whole."""
+    way = np.asarray(way_en_m, dtype=np.float64)
+    plan = city.triangles_enu_m[..., :2]
+    near = ((plan.max(1) >= way.min(0) - REACH_M) & (plan.min(1) <= way.max(0) + REACH_M)).all(1)
+    whole = np.zeros(city.buildings, dtype=np.bool_)
+    whole[city.building[near & (city.building >= 0)]] = True
+    near |= np.append(whole, False)[city.building]
+    _, dense = np.unique(np.append(city.building[near], -1), return_inverse=True)
+    return City(city.triangles_enu_m[near], city.surface[near], dense[:-1] - 1, city.material[near])
+
+
+def bridges_above(streets: StreetMap, way_en_m: Array, level: NDArray[np.int64]) -> City:
+    """Decks of the bridges that cross a way (n, 2) [m] above the level (n - 1,) of its pieces."""
+    decks = [np.zeros((0, 3, 3))]
+    for bridge in streets.bridges:
+        for a, b in zip(bridge.points_en_m[:-1], bridge.points_en_m[1:], strict=True):
+            at = crossing(way_en_m, a, b)
+            for k in np.flatnonzero(np.isfinite(at[:, 0]) & (level < bridge.level)):
+                along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9)
+                beside = 0.5 * bridge.width_m * np.array([along[1], -along[0]])
+                ends = at[k] - OVER_M * along, at[k] + OVER_M * along
+                foot = np.array([ends[0] - beside, ends[0] + beside, ends[1] + beside, ends[1] - beside])
+                decks.append(prisms(foot[None], TREE.clearance_m, TREE.clearance_m + DECK_M, floor=True))
+    return City.of(np.concatenate(decks))
+
+
+def in_buildings(points_en_m: ArrayLike, solids: Sequence[Solid]) -> NDArray[np.bool_]:
+    """Whether places lie in the outline of a building that leaves no passage of 4.5 m below it.  (n, 2) [m] -> (n,)."""
+    points = np.asarray(points_en_m, dtype=np.float64)
+    hit = np.zeros(len(points), dtype=np.bool_)
+    for solid in solids:
+        if solid.bottom_m >= CLEARANCE_M:
+            continue
+        low, high = solid.rings_en_m[0].min(0), solid.rings_en_m[0].max(0)
+        near = np.flatnonzero(((points >= low) & (points <= high)).all(1))
+        if near.size:
+            hit[near] |= inside(points[near], solid.rings_en_m)
+    return hit
