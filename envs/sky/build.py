@@ -65,8 +65,8 @@ def build_street(
     sections = tuple(sections or ())
     if not reuse:
         return _build(network, level, layout_seed, sections, extent_m, surroundings)
-    more = () if level.recording is None else (recording_of(level.recording).digest,)
-    more += () if surroundings is None else (surroundings.digest,)
+    more = [] if level.recording is None else [recording_of(level.recording).digest]
+    more += [] if surroundings is None else [surroundings.digest]
     key = cache.key_of(network, level, layout_seed, sections, float(extent_m), *more)
     street = cache.remember(key)
     if street is None:

@@ -26,10 +26,10 @@ from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_street
 from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildings, near_way
-from lanebound.integrity.sky.maps.polygons import crossing
 from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.maps.graph import StreetGraph
 from lanebound.integrity.sky.maps.loops import Loop, along, loops_of, loops_via
+from lanebound.integrity.sky.maps.polygons import crossing
 from lanebound.integrity.sky.maps.records import StreetMap, StreetWay
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
@@ -104,7 +104,7 @@ def map_road_of(world: Mapping[str, Any]) -> MapRoad | None:
     name, via = world.get("map"), world.get("via") or ()
     if name is None:
         if via or world.get("route"):
-            raise ConfigError("world.route and world.via must be left out without world.map: add the map, or remove them")
+            raise ConfigError("world.route and world.via must be left out without world.map: add it, or remove them")
         return None
     if not isinstance(name, str):
         raise ConfigError(f"world.map must be a packaged map or a file, got {name!r}: write its name")
@@ -130,8 +130,8 @@ def map_place(world: Mapping[str, Any]) -> dict[str, Any]:
 def _road(name: str, streets: StreetMap, route: int, via: tuple[Place, ...], width_m: float) -> MapRoad:
     found = list(_fitted(streets, _graph(streets), via, width_m, route + 1))
     if len(found) <= route:
-        reason = "no closed way leads by these places" if via else "the map has no more closed ways"
-        raise ConfigError(f"world.route must be below {len(found)} in map {name}, got {route}: {reason}; choose another")
+        reason = "no more closed ways lead by these places" if via else "the map has no more closed ways"
+        raise ConfigError(f"world.route must be below {len(found)} in {name}, got {route}: {reason}, choose another")
     line, lanes = found[route]
     return _made(streets, line, lanes, width_m)
 
@@ -237,7 +237,9 @@ def _simplified(line: Array) -> Array:
     chord = line[-1] - line[0]
     length = float(np.linalg.norm(chord))
     away = line - line[0]
-    aside = np.linalg.norm(away, axis=1) if length < SIMPLE_M else np.abs(away @ np.array([chord[1], -chord[0]])) / length
+    aside = (
+        np.linalg.norm(away, axis=1) if length < SIMPLE_M else np.abs(away @ np.array([chord[1], -chord[0]])) / length
+    )
     k = int(np.argmax(aside))
     if aside[k] <= SIMPLE_M:
         return line[[0, -1]]
@@ -332,7 +334,7 @@ def _collapsed(line: _Line, k: int) -> _Line:
 def _beside_m(corners: Array, places: Array) -> float:
     """Largest distance of places (n, 2) from a closed polygon."""
     line = along(np.vstack([corners, corners[:1]]), 1.0)
-    return float(cKDTree(line).query(places)[0].max())
+    return float(np.max(cKDTree(line).query(places)[0]))
 
 
 def _crosses_itself(corners: Array) -> bool:

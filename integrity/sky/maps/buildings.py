@@ -25,7 +25,19 @@ STOREY_M = 3.6  # median of height over levels of the 21 buildings with both in 
 USUAL_M = 12.0  # without known heights: three to five storeys of 3 m, as of semi-urban streets in city.py
 LEAST_KNOWN = 5  # heights of a map, from which on their median stands for unknown ones; chosen
 LOW_M = 3.0  # of garages and sheds: one storey
-LOW_KINDS = ("garage", "garages", "carport", "shed", "hut", "kiosk", "roof", "service", "toilets", "greenhouse", "cabin")
+LOW_KINDS = (
+    "garage",
+    "garages",
+    "carport",
+    "shed",
+    "hut",
+    "kiosk",
+    "roof",
+    "service",
+    "toilets",
+    "greenhouse",
+    "cabin",
+)
 OPEN_KINDS = ("roof", "carport")  # a roof on posts
 ROOF_M = 0.5  # thickness of such a roof; chosen
 COVERED = 0.5  # share of an outline from which on its parts replace it; chosen, the wiki asks for all of it

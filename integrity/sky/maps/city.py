@@ -1,4 +1,4 @@
-"""The obstacles of a street map: walls and roofs of its buildings, crowns of its trees, bridges above a way, tunnels."""
+"""The obstacles of a street map: walls and roofs of its buildings, crowns of its trees, bridges above a way."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ CLEARANCE_M = 4.5  # of passages below buildings: as high as vehicles may be (St
 REACH_M = 500.0  # from a way: what is farther is below 10 degrees of elevation up to a height of 88 m
 TREE = StreetConfig()  # sizes of trees of generated streets, where the map says nothing
 DECK_M = 1.5  # thickness of a bridge, as of generated overpasses
+UPPER = np.array([(False, False, True), (False, True, True)])  # corners of the two triangles of a wall
 OVER_M = 12.0  # length of a bridge on both sides of the middle of the way below it; chosen
 
 
@@ -41,10 +42,12 @@ def _prism(solid: Solid) -> Array:
     """Walls and roof of a building, and its lower face if it does not stand on the ground.  (t, 3, 3)."""
     parts = []
     for ring in solid.rings_en_m:
-        onward = np.roll(ring, -1, 0)
-        a, b = (np.insert(p, 2, solid.bottom_m, 1) for p in (ring, onward))
-        c, d = (np.insert(p, 2, solid.top_m, 1) for p in (onward, ring))
-        parts += [np.stack([a, b, c], 1), np.stack([a, c, d], 1)]
+        onward = ring[np.arange(1, len(ring) + 1) % len(ring)]
+        walls = np.empty((len(ring), 2, 3, 3))
+        walls[:, 0, :, :2] = np.stack([ring, onward, onward], 1)
+        walls[:, 1, :, :2] = np.stack([ring, onward, ring], 1)
+        walls[..., 2] = np.where(UPPER, solid.top_m, solid.bottom_m)
+        parts.append(walls.reshape(-1, 3, 3))
     cover = triangulated(solid.rings_en_m)
     parts.append(np.insert(cover, 2, solid.top_m, 2))
     if solid.bottom_m > 0.0:

@@ -47,8 +47,10 @@ class StreetEdge:
 
     def turns_back(self, onward: StreetEdge) -> bool:
         """Whether another edge is this piece in the other direction."""
-        return onward.way is self.way and (onward.start, onward.end) == (self.end, self.start) and bool(
-            np.array_equal(onward.points_en_m, self.points_en_m[::-1])
+        return (
+            onward.way is self.way
+            and (onward.start, onward.end) == (self.end, self.start)
+            and bool(np.array_equal(onward.points_en_m, self.points_en_m[::-1]))
         )
 
 

@@ -21,7 +21,7 @@ Place = tuple[float, float]
 
 DRAWS = 200  # pairs of edges between which loops are sought
 SAMPLE_M = 2.0
-THROUGH = 0.02  # share of an open street inside of buildings, from which on it is not driven; chosen: errors of outlines
+THROUGH = 0.02  # share of an open street inside of buildings, above which it is not driven; chosen
 
 
 @dataclass(frozen=True)

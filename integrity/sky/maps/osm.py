@@ -29,10 +29,11 @@ __all__ = ["SUFFIXES", "read_osm"]
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]
+_Plan = Callable[[Sequence[Sequence[Place]]], list[Array | None]]
 
 SUFFIXES = (".osm", ".osm.gz", ".osm.pbf")
 LARGEST_BYTES = 64 * 2**20  # of a file; a million buildings
-LARGEST_TEXT_BYTES = 2**30  # of XML after decompression
+LARGEST_TEXT_BYTES = 2**29  # of XML after decompression
 MOST_OBJECTS = {"streets": 100_000, "outlines": 200_000, "trees": 500_000, "points": 5_000_000}
 REACH_M = 10_000.0  # from the middle; what lies farther is left out: the ground is taken for flat
 ROW_SPACING_M = 8.0  # between the trees of a row, as in generated streets with trees
@@ -79,26 +80,26 @@ def read_osm(path: str | Path) -> StreetMap:
     file = Path(path)
     _require_file(file)
     found = _objects(file)
-    if not found.streets:
-        skipped = ", ".join(f"{n} {why}" for why, n in found.skipped.items()) or "nothing"
-        raise InputError(f"map {file} must hold streets for cars, got none (skipped: {skipped}): cut another part")
+    _require_streets(file, found.streets, found)
     lat, lon = np.median(np.array([place for _, _, line, _ in found.streets for place in line]), axis=0).tolist()
     frame, assumed = Frame(lat, lon), Counter[str]()
     near = partial(_near, frame, found.skipped)
     streets = [
         _street(number, nodes, line, tags, assumed)
-        for number, nodes, places, tags in found.streets
-        if (line := near(places)) is not None
+        for (number, nodes, _, tags), line in zip(found.streets, near([one[2] for one in found.streets]), strict=True)
+        if line is not None
     ]
+    _require_streets(file, streets, found)
+    rings = iter(near([ring for of_one, _ in found.outlines for ring in of_one]))
     outlines = []
-    for rings, tags in found.outlines:
-        kept = [ring for places in rings if (ring := near(places)) is not None]
-        if len(kept) == len(rings):
-            outlines.append(Outline(tuple(kept), tags))
+    for of_one, tags in found.outlines:
+        kept = [next(rings) for _ in of_one]
+        if all(ring is not None for ring in kept):
+            outlines.append(Outline(tuple(ring for ring in kept if ring is not None), tags))
     bridges = [
         Bridge(line, tg.metres(tags.get("width"), 1.0, 60.0) or BRIDGE_WIDTH_M, _level(tags))
-        for places, tags in found.bridges
-        if (line := near(places)) is not None
+        for (_, tags), line in zip(found.bridges, near([one[0] for one in found.bridges]), strict=True)
+        if line is not None
     ]
     return StreetMap(
         frame,
@@ -108,8 +109,8 @@ def read_osm(path: str | Path) -> StreetMap:
         tuple(_trees(found, near, assumed)),
         tuple(bridges),
         found.count,
-        assumed,
-        found.skipped,
+        +assumed,
+        +found.skipped,
     )
 
 
@@ -136,6 +137,12 @@ def _require_file(file: Path) -> None:
             raise InputError(f"map {file} must be a whole gzip file, got: {error}; fetch it again") from error
 
 
+def _require_streets(file: Path, streets: Sequence[Any], found: _Found) -> None:
+    if not streets:
+        skipped = ", ".join(f"{n} {why}" for why, n in found.skipped.items()) or "nothing"
+        raise InputError(f"map {file} must hold streets for cars, got none (skipped: {skipped}): cut another part")
+
+
 def _objects(file: Path) -> _Found:
     """The objects of a file that this package uses."""
     try:
@@ -149,7 +156,12 @@ def _objects(file: Path) -> _Found:
             found.require_moderate(file)
     except InputError:
         raise
-    except (RuntimeError, ValueError, OSError) as error:  # of libosmium: damaged, truncated, of another format
+    except (
+        RuntimeError,
+        ValueError,
+        OSError,
+        osmium.InvalidLocationError,
+    ) as error:  # of libosmium: damaged, truncated, of another format
         raise InputError(f"map {file} must be a whole OpenStreetMap file, got: {error}; fetch it again") from error
     whole = found.count["outlines of buildings"]
     if (lost := whole - found.assembled) > 0:
@@ -249,13 +261,19 @@ def _add_restriction(found: _Found, relation: Any, tags: dict[str, str]) -> None
             found.restrictions.append(Restriction(before, via[0], after, only))
 
 
-def _near(frame: Frame, skipped: Counter[str], places: Sequence[Place]) -> Array | None:
-    """Places in the plane of the map, (n, 2) [m]; None, counted, if one is too far from its middle."""
-    en = frame.en_of(*np.array(places).T)
-    if np.abs(en).max() > REACH_M:
-        skipped[f"objects farther than {REACH_M / 1000.0:g} km from the middle"] += 1
-        return None
-    return en
+def _near(frame: Frame, skipped: Counter[str], lines: Sequence[Sequence[Place]]) -> list[Array | None]:
+    """Lines of places in the plane of the map, (n, 2) [m] each; None, counted, if one is too far from its middle."""
+    places = np.array([place for line in lines for place in line]).reshape(-1, 2)
+    en = frame.en_of(places[:, 0], places[:, 1])
+    far = np.abs(en).max(1) > REACH_M
+    out: list[Array | None] = []
+    end = 0
+    for line in lines:
+        begin, end = end, end + len(line)
+        lost = bool(far[begin:end].any())
+        skipped[f"objects farther than {REACH_M / 1000.0:g} km from the middle"] += lost
+        out.append(None if lost else en[begin:end])
+    return out
 
 
 def _level(tags: tg.Tags) -> int:
@@ -283,18 +301,16 @@ def _street(number: int, nodes: list[int], line: Array, tags: tg.Tags, assumed: 
     )  # fmt: skip
 
 
-def _trees(found: _Found, near: Callable[[Sequence[Place]], Array | None], assumed: Counter[str]) -> list[Tree]:
+def _trees(found: _Found, near: _Plan, assumed: Counter[str]) -> list[Tree]:
     """Single trees, and those of rows where none is mapped."""
     out = []
-    for place, tags in found.trees:
-        at = near([place])
+    for (_, tags), at in zip(found.trees, near([[place] for place, _ in found.trees]), strict=True):
         if at is not None:
             height, crown = tg.metres(tags.get("height"), 1.0, 60.0), tg.metres(tags.get("diameter_crown"), 0.5, 30.0)
             assumed["sizes of trees, where nothing is tagged"] += height is None
             out.append(Tree(float(at[0, 0]), float(at[0, 1]), height, crown))
     mapped = cKDTree(np.array([(tree.east_m, tree.north_m) for tree in out]).reshape(-1, 2))
-    for row in found.rows:
-        line = near(row)
+    for line in near(found.rows):
         if line is None:
             continue
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])

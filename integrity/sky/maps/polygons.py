@@ -21,15 +21,16 @@ NEAREST = 400  # pairs of corners that are tried for the cut to a hole
 def signed_area(ring: Array) -> float:
     """Area of a ring (n, 2), positive counter-clockwise [m^2]."""
     x, y = ring[:, 0], ring[:, 1]
-    return float(0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    return float(0.5 * (x[:-1] @ y[1:] - y[:-1] @ x[1:] + x[-1] * y[0] - y[-1] * x[0]))
 
 
 def cleaned(ring: Array, *, clockwise: bool = False) -> Array | None:
     """A ring (n, 2) without repeated points, in the wanted sense; None if less than three points or no area is left."""
-    points = ring[np.linalg.norm(ring - np.roll(ring, 1, 0), axis=1) > SAME_M]
+    step = ring - ring[np.arange(-1, len(ring) - 1)]
+    points = ring[(step * step).sum(1) > SAME_M**2]
     if len(points) < 3 or abs(area := signed_area(points)) < SAME_M:
         return None
-    return points if (area < 0.0) == clockwise else points[::-1]
+    return np.asarray(points if (area < 0.0) == clockwise else points[::-1])
 
 
 def inside(points: Array, rings: Sequence[Array]) -> NDArray[np.bool_]:

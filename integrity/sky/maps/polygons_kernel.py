@@ -48,7 +48,7 @@ def clip_ears(x: Any, y: Any) -> Any:
 
 
 @jit
-def _area(x: Any, y: Any, a: int, b: int, c: int) -> float:
+def _area(x: Any, y: Any, a: int, b: int, c: int) -> Any:
     """Twice the signed area of a triangle of corners."""
     return (x[b] - x[a]) * (y[c] - y[a]) - (x[c] - x[a]) * (y[b] - y[a])
 
