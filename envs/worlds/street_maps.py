@@ -25,7 +25,7 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_street
-from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildings, near_way
+from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildings
 from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.maps.graph import StreetGraph
 from lanebound.integrity.sky.maps.loops import Loop, along, loops_of, loops_via
@@ -139,11 +139,6 @@ def _road(name: str, streets: StreetMap, route: int, via: tuple[Place, ...], wid
 @lru_cache(maxsize=4)
 def _graph(streets: StreetMap) -> StreetGraph:
     return StreetGraph.of(streets)
-
-
-@lru_cache(maxsize=4)
-def _city(streets: StreetMap) -> City:
-    return city_of(streets)
 
 
 def _fitted(
@@ -428,7 +423,7 @@ def _made(streets: StreetMap, line: _Line, lanes: int, width_m: float) -> MapRoa
     """The road of a line with what stands around it."""
     closed = np.vstack([line.corners, line.corners[:1]])
     level = np.array([way.level for way in line.ways])
-    city = near_way(_city(streets), closed) + bridges_above(streets, closed, level)
+    city = city_of(streets, closed) + bridges_above(streets, closed, level)
     for run in _covered_runs(line):
         road = Road.through(
             run, corner_radius_m=RADIUS_M, lane_count=lanes, lane_width_m=width_m, shift_m=0.5 * (lanes - 1) * width_m

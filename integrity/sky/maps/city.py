@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.sky.city import StreetConfig
 from lanebound.integrity.sky.maps.polygons import crossing, inside, triangulated
-from lanebound.integrity.sky.maps.records import Solid, StreetMap
+from lanebound.integrity.sky.maps.records import Solid, StreetMap, Tree
 from lanebound.integrity.sky.scene import City, Surface, prisms
 
-__all__ = ["bridges_above", "city_of", "in_buildings", "near_way"]
+__all__ = ["bridges_above", "city_of", "in_buildings"]
 
 Array = NDArray[np.float64]
 
@@ -24,18 +24,24 @@ UPPER = np.array([(False, False, True), (False, True, True)])  # corners of the 
 OVER_M = 12.0  # length of a bridge on both sides of the middle of the way below it; chosen
 
 
-def city_of(streets: StreetMap) -> City:
-    """Buildings and trees of a map; the buildings have the numbers of the map."""
-    solid = [np.zeros((0, 3, 3))]
-    number = [np.zeros(0, dtype=np.int64)]
-    for one in streets.solids:
-        triangles = _prism(one)
-        solid.append(triangles)
-        number.append(np.full(len(triangles), one.building))
-    _, dense = np.unique(np.concatenate(number), return_inverse=True)
-    walls = np.concatenate(solid)
-    houses = City(walls, np.zeros(len(walls), dtype=np.uint8), dense.astype(np.int64))
-    return houses + City.of(_crowns(streets), Surface.FOLIAGE)
+def city_of(streets: StreetMap, way_en_m: Array | None = None) -> City:
+    """Buildings and trees of a map; with a way (n, 2) [m] only those within 500 m of its bounding box."""
+    low, high = (-np.inf, np.inf) if way_en_m is None else (way_en_m.min(0) - REACH_M, way_en_m.max(0) + REACH_M)
+    solids = [
+        one
+        for one in streets.solids
+        if np.all(one.rings_en_m[0].max(0) >= low) and np.all(one.rings_en_m[0].min(0) <= high)
+    ]
+    prisms_of = [_prism(one) for one in solids]
+    number = np.repeat([one.building for one in solids], list(map(len, prisms_of))).astype(np.int64)
+    walls = np.concatenate([np.zeros((0, 3, 3)), *prisms_of])
+    houses = City(walls, np.zeros(len(walls), dtype=np.uint8), np.unique(number, return_inverse=True)[1])
+    trees = [tree for tree in streets.trees if np.all(_stands(tree) >= low) and np.all(_stands(tree) <= high)]
+    return houses + City.of(_crowns(trees), Surface.FOLIAGE)
+
+
+def _stands(tree: Tree) -> Array:
+    return np.array([tree.east_m, tree.north_m])
 
 
 def _prism(solid: Solid) -> Array:
@@ -55,28 +61,14 @@ def _prism(solid: Solid) -> Array:
     return np.concatenate(parts)
 
 
-def _crowns(streets: StreetMap) -> Array:
+def _crowns(trees: Sequence[Tree]) -> Array:
     """Crowns of trees as boxes.  (t, 3, 3)."""
-    if not streets.trees:
-        return np.zeros((0, 3, 3))
-    middle = np.array([(tree.east_m, tree.north_m) for tree in streets.trees])
-    top = np.array([tree.height_m or TREE.tree_top_m for tree in streets.trees])
-    half = 0.5 * np.array([tree.crown_m or TREE.tree_crown_m for tree in streets.trees])
+    middle = np.array([(tree.east_m, tree.north_m) for tree in trees]).reshape(-1, 2)
+    top = np.array([tree.height_m or TREE.tree_top_m for tree in trees])
+    half = 0.5 * np.array([tree.crown_m or TREE.tree_crown_m for tree in trees])
     base = np.minimum(TREE.tree_base_m, 0.5 * top)
     square = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
     return prisms(middle[:, None] + half[:, None, None] * square, base, top, floor=True)
-
-
-def near_way(city: City, way_en_m: ArrayLike) -> City:
-    """The obstacles within 500 m of a way (n, 2) [m], in squares of its bounding box; buildings stay whole."""
-    way = np.asarray(way_en_m, dtype=np.float64)
-    plan = city.triangles_enu_m[..., :2]
-    near = ((plan.max(1) >= way.min(0) - REACH_M) & (plan.min(1) <= way.max(0) + REACH_M)).all(1)
-    whole = np.zeros(city.buildings, dtype=np.bool_)
-    whole[city.building[near & (city.building >= 0)]] = True
-    near |= np.append(whole, False)[city.building]
-    _, dense = np.unique(np.append(city.building[near], -1), return_inverse=True)
-    return City(city.triangles_enu_m[near], city.surface[near], dense[:-1] - 1, city.material[near])
 
 
 def bridges_above(streets: StreetMap, way_en_m: Array, level: NDArray[np.int64]) -> City:
