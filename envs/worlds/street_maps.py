@@ -34,7 +34,7 @@ from lanebound.integrity.sky.maps.records import StreetMap, StreetWay
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 
-__all__ = ["MapRoad", "map_place", "map_road_of"]
+__all__ = ["MapRoad", "map_place", "map_road_of", "map_roads"]
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]
@@ -126,14 +126,25 @@ def map_place(world: Mapping[str, Any]) -> dict[str, Any]:
     return {} if road is None else {"sky": dict(zip(("lat_deg", "lon_deg"), road.place_deg, strict=True))}
 
 
+def map_roads(name: str, width_m: float = LANE_WIDTH_M, most: int = 8) -> list[MapRoad]:
+    """The roads of the longest closed ways through a map, in the order of ``world.route``; an empty list for none.
+
+    Raises
+    ------
+    InputError
+        The map is refused by its reader.
+    """
+    streets = map_of(name)
+    return [_made(streets, *way, width_m) for way in _fitted(streets, _graph(streets), (), width_m, most)]
+
+
 @lru_cache(maxsize=16)
 def _road(name: str, streets: StreetMap, route: int, via: tuple[Place, ...], width_m: float) -> MapRoad:
     found = list(_fitted(streets, _graph(streets), via, width_m, route + 1))
     if len(found) <= route:
         reason = "no more closed ways lead by these places" if via else "the map has no more closed ways"
         raise ConfigError(f"world.route must be below {len(found)} in {name}, got {route}: {reason}, choose another")
-    line, lanes = found[route]
-    return _made(streets, line, lanes, width_m)
+    return _made(streets, *found[route], width_m)
 
 
 @lru_cache(maxsize=4)
