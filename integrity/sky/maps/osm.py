@@ -156,12 +156,7 @@ def _objects(file: Path) -> _Found:
             found.require_moderate(file)
     except InputError:
         raise
-    except (
-        RuntimeError,
-        ValueError,
-        OSError,
-        osmium.InvalidLocationError,
-    ) as error:  # of libosmium: damaged, truncated, of another format
+    except (RuntimeError, ValueError, OSError, osmium.InvalidLocationError) as error:
         raise InputError(f"map {file} must be a whole OpenStreetMap file, got: {error}; fetch it again") from error
     whole = found.count["outlines of buildings"]
     if (lost := whole - found.assembled) > 0:
