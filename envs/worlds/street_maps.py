@@ -28,7 +28,7 @@ from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_
 from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildings
 from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.maps.graph import StreetGraph
-from lanebound.integrity.sky.maps.loops import Loop, along, loops_of, loops_via
+from lanebound.integrity.sky.maps.loops import ClosedWay, along, loops_of, loops_via
 from lanebound.integrity.sky.maps.polygons import crossing
 from lanebound.integrity.sky.maps.records import StreetMap, StreetWay
 from lanebound.integrity.sky.road import Road
@@ -154,7 +154,7 @@ def _graph(streets: StreetMap) -> StreetGraph:
 
 def _fitted(
     streets: StreetMap, graph: StreetGraph, via: tuple[Place, ...], width_m: float, count: int
-) -> Iterator[tuple[_Line, int]]:
+) -> Iterator[tuple[_LaneLine, int]]:
     """The first lines that can be driven, of loops in order of their length, the longest first; at most ``count``."""
     if via:
         places = [tuple(streets.frame.en_of(*place).tolist()) for place in via]
@@ -172,7 +172,7 @@ def _fitted(
 
 
 @dataclass(frozen=True)
-class _Line:
+class _LaneLine:
     """A closed polygon in East, North (n, 2) [m]; side k leads from corner k; the street of each side; radii (n,)."""
 
     corners: Array
@@ -203,7 +203,7 @@ class _Line:
 # The lanes in the streets
 
 
-def _offset(loop: Loop, lanes: int, width_m: float) -> _Line | None:
+def _offset(loop: ClosedWay, lanes: int, width_m: float) -> _LaneLine | None:
     """The middle of the leftmost of the rightmost ``lanes`` lanes along a loop; None if a corner is too sharp."""
     points, shifts, ways = [], [], []
     for edge in loop.edges:
@@ -233,7 +233,7 @@ def _offset(loop: Loop, lanes: int, width_m: float) -> _Line | None:
         else:
             corners.append(at[k] + np.linalg.solve(right[[k - 1, k]], np.array([before, after])))
             owner.append(ways[k])
-    return _Line(np.array(corners), tuple(owner), np.zeros(len(corners)))
+    return _LaneLine(np.array(corners), tuple(owner), np.zeros(len(corners)))
 
 
 def _simplified(line: Array) -> Array:
@@ -263,7 +263,7 @@ def _tangent(turn: float) -> float:
     return tangent_m(bend(turn, UNIT_M, 0.5 * UNIT_M * abs(turn)), turn) / UNIT_M
 
 
-def _joined(line: _Line | None, lanes: int, width_m: float) -> _Line | None:
+def _joined(line: _LaneLine | None, lanes: int, width_m: float) -> _LaneLine | None:
     """A line all of whose bends can be driven, by joining corners; None if a corner would move too far."""
     if line is None:
         return None
@@ -283,7 +283,7 @@ def _joined(line: _Line | None, lanes: int, width_m: float) -> _Line | None:
         k = int(np.argmin(radius / least))
         if radius[k] >= least[k]:
             far = max(_beside_m(first.corners, line.corners), _beside_m(line.corners, first.corners)) > MOVED_M
-            return None if far or _crosses_itself(line.corners) else _Line(line.corners, line.ways, radius)
+            return None if far or _crosses_itself(line.corners) else _LaneLine(line.corners, line.ways, radius)
         shorter = k if length[k] <= length[k - 1] else (k - 1) % len(length)
         line = _collapsed(line, shorter)
     return None
@@ -302,7 +302,7 @@ def _radii(turns: Array, length: Array) -> Array:
     return np.asarray(wanted * np.minimum(share, np.roll(share, 1)) / np.maximum(tangent, 1e-9))
 
 
-def _without(line: _Line, k: int) -> _Line:
+def _without(line: _LaneLine, k: int) -> _LaneLine:
     """A line without corner k; its side goes to that before it."""
     keep = np.arange(len(line.corners)) != k
     ways = list(line.ways)
@@ -310,10 +310,10 @@ def _without(line: _Line, k: int) -> _Line:
     if length[k] > length[k - 1]:
         ways[k - 1] = ways[k]
     del ways[k]
-    return _Line(line.corners[keep], tuple(ways), line.radius_m[keep])
+    return _LaneLine(line.corners[keep], tuple(ways), line.radius_m[keep])
 
 
-def _collapsed(line: _Line, k: int) -> _Line:
+def _collapsed(line: _LaneLine, k: int) -> _LaneLine:
     """A line with one corner in place of side k.
 
     It is the sharper one of two, where the other hardly turns; where the sides beside it meet, if both turn in the same
@@ -334,7 +334,7 @@ def _collapsed(line: _Line, k: int) -> _Line:
             point = a + ahead * u
     corners = line.corners.copy()
     corners[k] = point
-    return _without(_Line(corners, line.ways, line.radius_m), (k + 1) % n)
+    return _without(_LaneLine(corners, line.ways, line.radius_m), (k + 1) % n)
 
 
 def _beside_m(corners: Array, places: Array) -> float:
@@ -358,7 +358,7 @@ def _crosses_itself(corners: Array) -> bool:
 # The road
 
 
-def _is_free(streets: StreetMap, line: _Line, lanes: int, width_m: float) -> bool:
+def _is_free(streets: StreetMap, line: _LaneLine, lanes: int, width_m: float) -> bool:
     """Whether no lane leads through a building; there is nothing in a tunnel or a passage."""
     roads = _roads(line)
     if not roads:
@@ -375,7 +375,7 @@ def _is_free(streets: StreetMap, line: _Line, lanes: int, width_m: float) -> boo
     return not in_buildings(en, streets.solids).any()
 
 
-def _covered_runs(line: _Line) -> list[Array]:
+def _covered_runs(line: _LaneLine) -> list[Array]:
     """The parts of a line below a roof, (n, 2) each."""
     n = len(line.ways)
     runs: list[list[int]] = []
@@ -385,7 +385,7 @@ def _covered_runs(line: _Line) -> list[Array]:
     return [line.corners[[*run, (run[-1] + 1) % n]] for run in runs]
 
 
-def _roads(line: _Line) -> list[tuple[Path, float]]:
+def _roads(line: _LaneLine) -> list[tuple[Path, float]]:
     """Path and speed limit of each road of a line: a road ends where the limit changes, on a straight."""
     length, rest = np.linalg.norm(line.sides, axis=1), line.straights_m
     n, limits = len(length), [way.speed_limit_mps for way in line.ways]
@@ -416,7 +416,7 @@ def _apart(arc: Array, k: int, other: int) -> float:
     return min(gap, float(arc[-1]) - gap)
 
 
-def _path(line: _Line, sides: Sequence[int]) -> Path:
+def _path(line: _LaneLine, sides: Sequence[int]) -> Path:
     """The path from the middle of the first of some sides to that of the last."""
     rest, turns, (first, *_) = line.straights_m, line.turns, sides
     ahead = line.sides[first] / np.linalg.norm(line.sides[first])
@@ -430,7 +430,7 @@ def _path(line: _Line, sides: Sequence[int]) -> Path:
     return Path.of(Pose(float(x), float(y), atan2(along_y, along_x)), [one for one in pieces if one.length > 1e-6])
 
 
-def _made(streets: StreetMap, line: _Line, lanes: int, width_m: float) -> MapRoad:
+def _made(streets: StreetMap, line: _LaneLine, lanes: int, width_m: float) -> MapRoad:
     """The road of a line with what stands around it."""
     closed = np.vstack([line.corners, line.corners[:1]])
     level = np.array([way.level for way in line.ways])

@@ -147,7 +147,7 @@ def test_by_way_of_places() -> None:
     [
         ({"map": MAP, "route": 500}, r"world\.route must be below 1\d in berlin_kreuzberg, got 500"),
         ({"map": MAP, "route": -1}, r"world\.route must be a whole number between 0 and 1000"),
-        ({"map": MAP, "via": [[52.5, 13.4]]}, r"world\.via\.0\.1 must be finite, got nan"),
+        ({"map": MAP, "via": [[52.5, 13.4]]}, r"world\.via must be two places or more"),
         ({"map": MAP, "via": [["a", 1], [2, 3]]}, r"world\.via must be two places or more"),
         ({"map": MAP, "via": 3}, r"world\.via must be two places or more"),
         ({"map": MAP, "via": [[52.5, float("nan")], [52.5, 13.4]]}, r"world\.via\.0\.1 must be finite, got nan"),

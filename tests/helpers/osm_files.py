@@ -6,9 +6,9 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from lanebound.integrity.sky.maps.records import Frame
+from lanebound.integrity.sky.maps.records import MapFrame
 
-PLACE = Frame(52.5, 13.4)
+PLACE = MapFrame(52.5, 13.4)
 Ring = Sequence[tuple[float, float]]
 
 
@@ -45,7 +45,7 @@ STREET = node(901, -5000.0, -5000.0) + node(902, -4990.0, -5000.0), way(900, [90
 def with_outlines(
     path: Path, rings: Sequence[Sequence[tuple[float, float]]], tags: Sequence[Mapping[str, str]]
 ) -> Path:
-    """A file with closed ways of tags, and three streets that put its middle near 0, 0."""
+    """A file with closed ways of tags, and a street that puts its middle at 0, 0."""
     nodes, ways, number = [], [], 1
     for k, (ring, of_ring) in enumerate(zip(rings, tags, strict=True)):
         refs = list(range(number, number + len(ring)))

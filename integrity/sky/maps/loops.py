@@ -14,7 +14,7 @@ from lanebound.integrity.sky.maps.city import in_buildings
 from lanebound.integrity.sky.maps.graph import StreetEdge, StreetGraph
 from lanebound.integrity.sky.maps.records import StreetMap
 
-__all__ = ["Loop", "along", "loops_of", "loops_via", "through_buildings"]
+__all__ = ["ClosedWay", "along", "loops_of", "loops_via", "through_buildings"]
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]
@@ -25,7 +25,7 @@ THROUGH = 0.02  # share of an open street inside of buildings, above which it is
 
 
 @dataclass(frozen=True)
-class Loop:
+class ClosedWay:
     """Edges of a graph, each of which follows the one before it, and the first the last."""
 
     edges: tuple[StreetEdge, ...]
@@ -55,7 +55,7 @@ def along(line_en_m: Array, spacing_m: float) -> Array:
     return np.stack([np.interp(at, arc, line_en_m[:, k]) for k in (0, 1)], -1)
 
 
-def loops_of(streets: StreetMap, graph: StreetGraph) -> Iterator[Loop]:
+def loops_of(streets: StreetMap, graph: StreetGraph) -> Iterator[ClosedWay]:
     """Loops between random pairs of edges, always the same, as they are found; none passes a junction twice."""
     edges = _driven(streets, graph)
     rng = named_generator(0, "loops")
@@ -64,10 +64,10 @@ def loops_of(streets: StreetMap, graph: StreetGraph) -> Iterator[Loop]:
         loop = _closed(graph, [int(k) for k in rng.choice(edges, 2)], frozenset(range(len(graph.edges))) - set(edges))
         if loop is not None and (key := frozenset(loop)) not in seen:
             seen.add(key)
-            yield Loop(tuple(graph.edges[k] for k in loop))
+            yield ClosedWay(tuple(graph.edges[k] for k in loop))
 
 
-def loops_via(streets: StreetMap, graph: StreetGraph, places_en_m: Sequence[Place]) -> Iterator[Loop]:
+def loops_via(streets: StreetMap, graph: StreetGraph, places_en_m: Sequence[Place]) -> Iterator[ClosedWay]:
     """Loops by way of places (two or more), over the edges nearest to them, in either direction of each."""
     edges = _driven(streets, graph)
     barred = frozenset(range(len(graph.edges))) - set(edges)
@@ -75,7 +75,7 @@ def loops_via(streets: StreetMap, graph: StreetGraph, places_en_m: Sequence[Plac
     for stops in product(*near) if near else ():
         loop = _closed(graph, list(stops), barred)
         if loop is not None:
-            yield Loop(tuple(graph.edges[k] for k in loop))
+            yield ClosedWay(tuple(graph.edges[k] for k in loop))
 
 
 def _driven(streets: StreetMap, graph: StreetGraph) -> list[int]:

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps import tags as tg
 from lanebound.integrity.sky.maps.buildings import Outline, solids_of
-from lanebound.integrity.sky.maps.records import Bridge, Frame, Restriction, StreetMap, StreetWay, Tree
+from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, Restriction, StreetMap, StreetWay, Tree
 
 __all__ = ["SUFFIXES", "read_osm"]
 
@@ -82,7 +82,7 @@ def read_osm(path: str | Path) -> StreetMap:
     found = _objects(file)
     _require_streets(file, found.streets, found)
     lat, lon = np.median(np.array([place for _, _, line, _ in found.streets for place in line]), axis=0).tolist()
-    frame, assumed = Frame(lat, lon), Counter[str]()
+    frame, assumed = MapFrame(lat, lon), Counter[str]()
     near = partial(_near, frame, found.skipped)
     streets = [
         _street(number, nodes, line, tags, assumed)
@@ -97,7 +97,7 @@ def read_osm(path: str | Path) -> StreetMap:
         if all(ring is not None for ring in kept):
             outlines.append(Outline(tuple(ring for ring in kept if ring is not None), tags))
     bridges = [
-        Bridge(line, tg.metres(tags.get("width"), 1.0, 60.0) or BRIDGE_WIDTH_M, _level(tags))
+        BridgeAxis(line, tg.metres(tags.get("width"), 1.0, 60.0) or BRIDGE_WIDTH_M, _level(tags))
         for (_, tags), line in zip(found.bridges, near([one[0] for one in found.bridges]), strict=True)
         if line is not None
     ]
@@ -256,7 +256,7 @@ def _add_restriction(found: _Found, relation: Any, tags: dict[str, str]) -> None
             found.restrictions.append(Restriction(before, via[0], after, only))
 
 
-def _near(frame: Frame, skipped: Counter[str], lines: Sequence[Sequence[Place]]) -> list[Array | None]:
+def _near(frame: MapFrame, skipped: Counter[str], lines: Sequence[Sequence[Place]]) -> list[Array | None]:
     """Lines of places in the plane of the map, (n, 2) [m] each; None, counted, if one is too far from its middle."""
     places = np.array([place for line in lines for place in line]).reshape(-1, 2)
     en = frame.en_of(places[:, 0], places[:, 1])

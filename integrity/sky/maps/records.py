@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef
 
-__all__ = ["Bridge", "Frame", "Restriction", "Solid", "StreetMap", "StreetWay", "Tree"]
+__all__ = ["BridgeAxis", "MapFrame", "Restriction", "Solid", "StreetMap", "StreetWay", "Tree"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Frame:
+class MapFrame:
     """The local plane East, North at a place; the ground is taken for flat.
 
     Attributes
@@ -116,7 +116,7 @@ class Tree:
 
 
 @dataclass(frozen=True)
-class Bridge:
+class BridgeAxis:
     """A bridge of a street, a path or a railway: its axis (n, 2), its width and its level."""
 
     points_en_m: Array
@@ -137,12 +137,12 @@ class StreetMap:
     skipped : how many objects are left out, by reason
     """
 
-    frame: Frame
+    frame: MapFrame
     streets: tuple[StreetWay, ...] = ()
     restrictions: tuple[Restriction, ...] = ()
     solids: tuple[Solid, ...] = ()
     trees: tuple[Tree, ...] = ()
-    bridges: tuple[Bridge, ...] = ()
+    bridges: tuple[BridgeAxis, ...] = ()
     found: Counter[str] = field(default_factory=Counter)
     assumed: Counter[str] = field(default_factory=Counter)
     skipped: Counter[str] = field(default_factory=Counter)

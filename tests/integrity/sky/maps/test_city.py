@@ -13,7 +13,7 @@ from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildin
 from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.maps.osm import read_osm
 from lanebound.integrity.sky.maps.polygons import inside
-from lanebound.integrity.sky.maps.records import Bridge, Frame, StreetMap, Tree
+from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, StreetMap, Tree
 from lanebound.integrity.sky.raytrace import first_hits
 from lanebound.integrity.sky.scene import City
 
@@ -109,7 +109,7 @@ def test_walls_leave_no_gap() -> None:
 
 def test_trees_are_foliage_of_their_size() -> None:
     trees = (Tree(0.0, 0.0, 12.0, 8.0), Tree(30.0, 0.0))
-    city = city_of(StreetMap(Frame(52.5, 13.4), trees=trees))
+    city = city_of(StreetMap(MapFrame(52.5, 13.4), trees=trees))
     assert city.foliage.all()
     assert len(city) == 24
     first, second = city.triangles_enu_m[:12].reshape(-1, 3), city.triangles_enu_m[12:].reshape(-1, 3)
@@ -125,8 +125,8 @@ def test_only_what_is_near_a_way_is_an_obstacle() -> None:
 
 
 def test_bridges_stand_above_a_lower_way_only() -> None:
-    bridge = Bridge(np.array([(0.0, -30.0), (0.0, 30.0)]), 8.0, 1)
-    streets = StreetMap(Frame(52.5, 13.4), bridges=(bridge,))
+    bridge = BridgeAxis(np.array([(0.0, -30.0), (0.0, 30.0)]), 8.0, 1)
+    streets = StreetMap(MapFrame(52.5, 13.4), bridges=(bridge,))
     way = np.array([(-100.0, 0.0), (100.0, 0.0), (100.0, 80.0)])
     deck = bridges_above(streets, way, np.array([0, 0]))
     assert len(deck) == 12

@@ -11,7 +11,7 @@ from osm_files import blocks, node, relation, way
 
 from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.maps.graph import StreetGraph
-from lanebound.integrity.sky.maps.loops import Loop, loops_of, loops_via, through_buildings
+from lanebound.integrity.sky.maps.loops import ClosedWay, loops_of, loops_via, through_buildings
 from lanebound.integrity.sky.maps.osm import read_osm
 
 
@@ -65,7 +65,7 @@ def test_the_shortest_way(tmp_path: Path) -> None:
     assert graph.way(number[1, 2], number[5, 4], frozenset({number[2, 5], number[2, 3]})) is None
 
 
-def closed(loop: Loop) -> bool:
+def closed(loop: ClosedWay) -> bool:
     edges = loop.edges
     return all(a.end == b.start and not a.turns_back(b) for a, b in pairwise((*edges, edges[0])))
 

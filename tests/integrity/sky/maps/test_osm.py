@@ -15,7 +15,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps import osm as reader
 from lanebound.integrity.sky.maps.files import map_of, packaged_maps
 from lanebound.integrity.sky.maps.osm import read_osm
-from lanebound.integrity.sky.maps.records import Frame, Restriction
+from lanebound.integrity.sky.maps.records import MapFrame, Restriction
 from lanebound.integrity.sky.maps.tags import DRIVABLE
 
 DATA = Path("/work/shared/data/maps_osm")
@@ -29,7 +29,7 @@ def written(tmp_path: Path, text: str, name: str = "map.osm") -> Path:
 
 
 def test_the_frame_is_metres_east_and_north() -> None:
-    frame = Frame(52.5, 13.4)
+    frame = MapFrame(52.5, 13.4)
     # Length of a degree of latitude and of longitude on WGS 84 (Snyder, USGS Professional Paper 1395, p. 25)
     phi = np.radians(52.5)
     north = 111132.954 - 559.822 * np.cos(2 * phi) + 1.175 * np.cos(4 * phi)
