@@ -6,8 +6,6 @@ drive through (:data:`.tags.DRIVABLE`).
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +21,7 @@ from scipy.spatial import cKDTree
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps import tags as tg
 from lanebound.integrity.sky.maps.buildings import Outline, solids_of
+from lanebound.integrity.sky.maps.gzipped import require_moderate_gzip
 from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, Restriction, StreetMap, StreetWay, Tree
 
 __all__ = ["SUFFIXES", "read_osm"]
@@ -123,18 +122,8 @@ def _require_file(file: Path) -> None:
     size = file.stat().st_size
     if not 0 < size <= LARGEST_BYTES:
         raise InputError(f"map {file} must have 1 to {LARGEST_BYTES} bytes, got {size}: cut a part of a city")
-    if file.name.lower().endswith(".gz"):  # a few kB may hold gigabytes
-        text_bytes = 0
-        try:
-            with gzip.open(file) as stream:
-                while block := stream.read(2**20):
-                    text_bytes += len(block)
-                    if text_bytes > LARGEST_TEXT_BYTES:
-                        raise InputError(
-                            f"map {file} must hold at most {LARGEST_TEXT_BYTES} bytes of text, got more: cut a part"
-                        )
-        except (EOFError, OSError, zlib.error) as error:
-            raise InputError(f"map {file} must be a whole gzip file, got: {error}; fetch it again") from error
+    if file.name.lower().endswith(".gz"):
+        require_moderate_gzip(file, "map", LARGEST_TEXT_BYTES)
 
 
 def _require_streets(file: Path, streets: Sequence[Any], found: _Found) -> None:
