@@ -68,14 +68,12 @@ class MapRoad:
     roads : path of the leftmost lane, and speed limit [m/s], of each road of the way in order
     lanes, width_m : number and width of the lanes of all roads
     city : the obstacles around it
-    place_deg : latitude and longitude of the frame's origin
     """
 
     roads: tuple[tuple[Path, float], ...]
     lanes: int
     width_m: float
     city: City
-    place_deg: tuple[float, float]
 
     @property
     def length_m(self) -> float:
@@ -108,22 +106,24 @@ def map_road_of(world: Mapping[str, Any]) -> MapRoad | None:
         return None
     if not isinstance(name, str):
         raise ConfigError(f"world.map must be a packaged map or a file, got {name!r}: write its name")
-    places = np.array(via, dtype=np.float64) if _numbers(via) else np.zeros(0)
-    if via and (places.ndim != 2 or places.shape[1:] != (2,) or len(places) < 2 or np.abs(places).max() > 180.0):
+    if not (isinstance(via, list | tuple) and all(map(_is_place, via)) and len(via) != 1):
         raise ConfigError(f"world.via must be two places or more, each [latitude, longitude], got {via!r}: correct it")
-    return _road(name, map_of(name), world["route"], tuple(map(tuple, places.tolist())), world["lane_width"])
+    return _road(name, map_of(name), world["route"], tuple(map(tuple, via)), world["lane_width"])
 
 
-def _numbers(places: Any) -> bool:
-    """Whether places are rows of numbers."""
-    rows = places if isinstance(places, list | tuple) else [None]
-    return all(isinstance(row, list | tuple) and all(isinstance(v, int | float) for v in row) for row in rows)
+def _is_place(place: Any) -> bool:
+    """Whether a value is a latitude and a longitude [deg]."""
+    two = isinstance(place, list | tuple) and len(place) == 2
+    return two and all(isinstance(v, int | float) and abs(v) <= 180.0 for v in place)
 
 
 def map_place(world: Mapping[str, Any]) -> dict[str, Any]:
     """Keys of NavigatorConfig that move the satellites to the place of a world's map; none without a map."""
-    road = map_road_of({"route": 0, "lane_width": LANE_WIDTH_M, **world})
-    return {} if road is None else {"sky": dict(zip(("lat_deg", "lon_deg"), road.place_deg, strict=True))}
+    name = world.get("map")
+    if not isinstance(name, str):
+        return {}
+    frame = map_of(name).frame
+    return {"sky": {"lat_deg": frame.lat_deg, "lon_deg": frame.lon_deg}}
 
 
 def map_roads(name: str, width_m: float = LANE_WIDTH_M, most: int = 8) -> list[MapRoad]:
@@ -238,18 +238,18 @@ def _offset(loop: ClosedWay, lanes: int, width_m: float) -> _LaneLine | None:
 
 def _simplified(line: Array) -> Array:
     """A line without the points that lie within 0.5 m of the straight between others (Douglas and Peucker)."""
-    if len(line) < 3:
-        return line
-    chord = line[-1] - line[0]
-    length = float(np.linalg.norm(chord))
-    away = line - line[0]
-    aside = (
-        np.linalg.norm(away, axis=1) if length < SIMPLE_M else np.abs(away @ np.array([chord[1], -chord[0]])) / length
-    )
-    k = int(np.argmax(aside))
-    if aside[k] <= SIMPLE_M:
-        return line[[0, -1]]
-    return np.concatenate([_simplified(line[: k + 1])[:-1], _simplified(line[k:])])
+    kept, parts = {0, len(line) - 1}, [(0, len(line) - 1)]
+    while parts:
+        first, last = parts.pop()
+        away, chord = line[first : last + 1] - line[first], line[last] - line[first]
+        length = float(np.linalg.norm(chord))
+        across = np.array([chord[1], -chord[0]]) / max(length, 1e-9)
+        aside = np.linalg.norm(away, axis=1) if length < SIMPLE_M else np.abs(away @ across)
+        k = int(np.argmax(aside))
+        if aside[k] > SIMPLE_M:
+            kept.add(first + k)
+            parts += [(first, first + k), (first + k, last)]
+    return line[sorted(kept)]
 
 
 # Corners that can be driven
@@ -441,5 +441,4 @@ def _made(streets: StreetMap, line: _LaneLine, lanes: int, width_m: float) -> Ma
         )
         tunnel = [Stretch(0.0, road.length_m, SectionKind.TUNNEL, SectionKind.TUNNEL)]
         city = city + line_street(road, tunnel, CityConfig(), named_generator(0, "tunnel"))
-    place = streets.frame.lat_deg, streets.frame.lon_deg
-    return MapRoad(tuple(_roads(line)), lanes, width_m, city, place)
+    return MapRoad(tuple(_roads(line)), lanes, width_m, city)
