@@ -26,6 +26,7 @@ from lanebound.envs.recordings import recordings_of
 from lanebound.envs.road_map import road_map_of
 from lanebound.envs.sky import Section, SkyLevel, Street, build_street
 from lanebound.envs.worlds import world_kind
+from lanebound.envs.worlds.street_maps import map_place
 from lanebound.integrity.core.config_errors import joined
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import named_generator
@@ -34,6 +35,7 @@ from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.campaign import random_campaign, single_fault
 from lanebound.integrity.sensors.fault_registry import fault_kinds
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
+from lanebound.integrity.sky.scene import City
 
 __all__ = ["MAP_SHARE", "EpisodeContext", "alert_limits_m", "begin_all", "duration_s", "give_faults", "make_batch",
            "map_bound_m", "navigator_config", "set_scene"]  # fmt: skip
@@ -77,6 +79,7 @@ def _navigator_config(text: str, level: str, limits_m: tuple[float, float]) -> N
             start=config.navigation.start,
             positioning={"axle_m": 0.5 * Vehicle.LENGTH},
             chassis={"wheelbase_m": Vehicle.LENGTH, "axle_m": 0.5 * Vehicle.LENGTH},
+            **map_place(config.world),
         )
     )
     try:
@@ -112,23 +115,30 @@ def make_batch(
 
 @dataclass(frozen=True)
 class Streets:
-    """Makes the streets of cities along the roads of a world."""
+    """Makes the streets of cities along the roads of a world, or of its map."""
 
     network: RoadNetwork
     level: SkyLevel
     sections: tuple[Section, ...]
     extent_m: float
     vary: bool
+    surroundings: City | None
 
     @classmethod
     def of(cls, world: AbstractEnv, config: EnvConfig) -> Self:
         """Of a world."""
-        sections = tuple(getattr(world, "sections", ()))
-        return cls(world.road.network, config.level, sections, config.extent_m, config.cities.vary)
+        sections, around = tuple(getattr(world, "sections", ())), getattr(world, "surroundings", None)
+        return cls(world.road.network, config.level, sections, config.extent_m, config.cities.vary, around)
 
     def __call__(self, seed: int) -> Street:
         level = self.level.of_city(seed) if self.vary else self.level
-        return build_street(self.network, level, seed, self.sections, self.extent_m)
+        return build_street(self.network, level, seed, self.sections, self.extent_m, self.surroundings)
+
+
+def _street(world: AbstractEnv, config: EnvConfig, layout: int) -> Street:
+    """The street of a world with the obstacles of its map, or with those of a city."""
+    given = getattr(world, "sections", ()), config.extent_m, getattr(world, "surroundings", None)
+    return build_street(world.road.network, config.level, layout, *given)
 
 
 def begin_all(

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import assess, bench, benchmark, drive, learn, listing, recorded, reproduce
+from lanebound.agents.cli import assess, bench, benchmark, drive, learn, listing, recorded, reproduce, street_map
 from lanebound.agents.cli.advice import AdvisingGroup
 
 EXAMPLES = """
@@ -42,6 +42,8 @@ EXAMPLES = """
 
   lanebound record-sky data/berlin --out b.csv   write its sky for drive --sky b.csv
 
+  lanebound map berlin.osm.pbf --out out/map   read a street map for UrbanCanyon
+
   lanebound fit-imu static.csv                 fit the warm-up error of accelerometers
 
   lanebound bench --json                       measure speed
@@ -68,6 +70,7 @@ for command in (
     listing.agents, listing.monitors, assess.fit_errors, drive.drive, drive.play,
 ):  # fmt: skip
     app.command()(command)
+app.command("map")(street_map.street_map)
 
 
 def _show_version(wanted: bool) -> None:

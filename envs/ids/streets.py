@@ -143,7 +143,8 @@ class UrbanCanyon(Preset):
 
     ## Arguments
     `config["world"]`: `vehicles_count` (10; fewer where drawn positions are too close), `spread` ([-200, 400] m),
-    `lane_width` (3.25 m), `initial_speed` (10 m/s), `duration` (120 s).
+    `lane_width` (3.25 m), `initial_speed` (10 m/s), `duration` (120 s); `map`, `route`, `via`: a real street map in
+    place of the loop ([street maps](#street-maps)).
 
     ## Version History
     * v0: first version.

@@ -36,6 +36,7 @@ def build_street(
     layout_seed: int,
     sections: Sequence[Section] | None = None,
     extent_m: float = 2500.0,
+    surroundings: City | None = None,
     *,
     reuse: bool = True,
 ) -> Street:
@@ -48,6 +49,7 @@ def build_street(
     sections : stretches given by a world, ``(edge from, edge to, start [m], end [m], kind)``; heights and the rest of
         the edges are those of the level
     extent_m : largest length of an edge with buildings; the last station is used beyond
+    surroundings : the obstacles of a map given by a world, in place of a generated city; their facades are drawn
     reuse : use a street from the cache in memory or on disk, and store this one
 
     Raises
@@ -62,14 +64,15 @@ def build_street(
         raise InputError("network must have lanes, got none: pass env.unwrapped.road.network after reset")
     sections = tuple(sections or ())
     if not reuse:
-        return _build(network, level, layout_seed, sections, extent_m)
-    recorded = () if level.recording is None else (recording_of(level.recording).digest,)
-    key = cache.key_of(network, level, layout_seed, sections, float(extent_m), *recorded)
+        return _build(network, level, layout_seed, sections, extent_m, surroundings)
+    more = [] if level.recording is None else [recording_of(level.recording).digest]
+    more += [] if surroundings is None else [surroundings.digest]
+    key = cache.key_of(network, level, layout_seed, sections, float(extent_m), *more)
     street = cache.remember(key)
     if street is None:
         street = cache.load(key, LaneMap.of(network, extent_m, SPACING_M))
         if street is None:
-            street = _build(network, level, layout_seed, sections, extent_m, key)
+            street = _build(network, level, layout_seed, sections, extent_m, surroundings, key)
             cache.save(key, street)
         cache.remember(key, street)
     return street
@@ -81,13 +84,18 @@ def _build(
     layout_seed: int,
     sections: tuple[Section, ...],
     extent_m: float,
+    surroundings: City | None = None,
     digest: str = "",
 ) -> Street:
     members = corridors(network, extent_m)
     lanes = LaneMap.of(network, extent_m, SPACING_M)
     if level.recording is not None:
         return recorded_street(network, members, lanes, recording_of(level.recording), layout_seed)
-    city = _city(network, members, level, layout_seed, _named(members, sections), extent_m)
+    city = surroundings if level.follow_sections else None
+    if city is None:
+        city = _city(network, members, level, layout_seed, _named(members, sections), extent_m)
+    facades = clad(city.building, level.material_shares, named_generator(layout_seed, "facades"))
+    city = replace(city, material=facades)
     if not len(city):
         return Street(SkyMask.open(), SkyForecast.open(), city, lanes)
     antennas, cells = lanes.antennas(network, ANTENNA_HEIGHT_M), (AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG)
@@ -117,7 +125,7 @@ def _city(
         rng = named_generator([layout_seed, number], "city")
         kinds = level.streets_along(2.0 * corridor.road.edge_m)
         city = city + line_street(corridor.road, stretches, kinds, rng, ground.plot(corridor))
-    return replace(city, material=clad(city.building, level.material_shares, named_generator(layout_seed, "facades")))
+    return city
 
 
 def _cut(config: CityConfig, at_m: float, length_m: float) -> list[Stretch]:

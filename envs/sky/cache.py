@@ -54,7 +54,7 @@ def _sources() -> str:
     """Digest of the code that builds streets."""
     h = hashlib.blake2b(digest_size=8)
     for module in (__file__, str(sky.__file__)):
-        for source in sorted(Path(module).parent.glob("*.py")):
+        for source in sorted(Path(module).parent.rglob("*.py")):
             h.update(source.read_bytes())
     return h.hexdigest()
 

@@ -19,7 +19,7 @@ from lanebound.envs.batch.lanes_kernel import SQUARE_M
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import wrap_angle
 
-__all__ = ["Foot", "Path", "Piece", "Pose", "bend", "rounded_polygon", "s_bend", "straight"]
+__all__ = ["Foot", "Path", "Piece", "Pose", "bend", "rounded_polygon", "s_bend", "straight", "tangent_m"]
 
 CLOTHOID_CELL_M = 1.0  # 3-point Gauss over it is exact to 1e-11 m in all of a corner
 MARGIN_M = 40.0
@@ -106,7 +106,7 @@ def rounded_polygon(
         after = (k + 1) % count
         turn = wrap_angle(headings[after] - headings[k])
         pieces = bend(turn, corners[after][2], transition_m)
-        near = _tangent(pieces, turn)
+        near = tangent_m(pieces, turn)
         ends = 0.5 * lengths[k] - near, 0.5 * lengths[after] - near
         if min(ends) <= 0.0:
             raise InputError(f"corner {after} of the polygon leaves no straight: shorten its radius or its transition")
@@ -116,7 +116,7 @@ def rounded_polygon(
     return out
 
 
-def _tangent(pieces: Sequence[Piece], turn: float) -> float:
+def tangent_m(pieces: Sequence[Piece], turn: float) -> float:
     """Distance from a corner to the start of its bend, from the chord (X, Y) of the bend: X - Y / tan(turn)."""
     pose = Pose(0.0, 0.0, 0.0)
     for piece in pieces:

@@ -24,6 +24,8 @@ from lanebound.envs.worlds.networks import (
     long_road,
     winding_road,
 )
+from lanebound.envs.worlds.street_maps import map_road_of
+from lanebound.integrity.sky.scene import City
 
 __all__ = ["CarFollowingWorld", "LaneKeepingWorld", "UrbanCanyonWorld"]
 
@@ -137,7 +139,9 @@ class UrbanCanyonWorld(World):
         That of :class:`World`; the loop has no end.
     Configuration
         ``vehicles_count`` (largest number of other vehicles; a vehicle whose place is occupied is left out), ``spread``
-        [m] (range along the road around the ego for their starts), ``initial_speed`` [m/s].
+        [m] (range along the road around the ego for their starts), ``initial_speed`` [m/s]; ``map`` (a packaged street
+        map or a file, whose streets and buildings take the place of the loop; None: the loop), ``route`` (number of the
+        closed way through the map, 0 for the longest), ``via`` (places, latitude and longitude, by which it leads).
     """
 
     OTHERS: ClassVar[type[Vehicle]] = CityDriver
@@ -154,16 +158,28 @@ class UrbanCanyonWorld(World):
             "vehicles_count": 10,
             "spread": [-200.0, 400.0],
             "initial_speed": 10.0,
+            "map": None,
+            "route": 0,
+            "via": [],
         }
 
     @property
     def sections(self) -> tuple[Section, ...]:
         """Surroundings of the loop; ends are limited to the lengths of the edges."""
+        if self.config["map"] is not None:
+            return ()
         graph = self.road.network.graph
         return tuple((a, b, start, min(end, graph[a][b][0].length), kind) for a, b, start, end, kind in CITY_SECTIONS)
 
+    @property
+    def surroundings(self) -> City | None:
+        """The obstacles of the map; None for the loop, along which they are generated."""
+        road = map_road_of(self.config)
+        return None if road is None else road.city
+
     def _network(self) -> StreetNetwork:
-        return city_loop(self.config["lane_width"])
+        road = map_road_of(self.config)
+        return city_loop(self.config["lane_width"]) if road is None else road.network()
 
     @classmethod
     def most_vehicles(cls, config: dict[str, Any]) -> int:
@@ -180,7 +196,7 @@ class UrbanCanyonWorld(World):
         speed = min(c["initial_speed"], lane.advised_speed(along))
         seats, taken = [Seat(index, along, speed, speed, CityDriver.DELTA)], [lane.position(along, 0.0)]
         for _ in range(c["vehicles_count"]):
-            away, side = float(rng.uniform(*c["spread"])), int(rng.integers(2))
+            away, side = float(rng.uniform(*c["spread"])), int(rng.integers(len(network.graph[start][end])))
             share = float(rng.uniform(0.8, 1.0))
             there, s = advance(network, (*index[:2], side), along, away)
             lane = network.get_lane(there)

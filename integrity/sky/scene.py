@@ -4,6 +4,7 @@ street, the edges that diffract them, and the materials of facades.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -237,6 +238,14 @@ class City:
     def foliage(self) -> NDArray[np.bool_]:
         """Whether each triangle is foliage, (T,)."""
         return np.asarray(self.surface == Surface.FOLIAGE)
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of all arrays; equal cities have equal digests."""
+        h = hashlib.blake2b(digest_size=16)
+        for array in (self.triangles_enu_m, self.surface, self.building, self.material):
+            h.update(np.ascontiguousarray(array).tobytes())
+        return h.hexdigest()
 
     @cached_property
     def grid(self) -> Grid:
