@@ -107,7 +107,10 @@ def run_prediction(
             for sky, each in streets.items()
             for k, sigma in enumerate(config.map_sigmas_m)
         ],
-        "availability": [{"sky": sky} | judged(model, each) for sky, each in unseen.items()],
+        "availability": [
+            {"sky": sky} | judged(model, each)
+            for sky, each in {**unseen, "all": [street for each in unseen.values() for street in each]}.items()
+        ],
         "reliability": reliability(model, [street for each in unseen.values() for street in each]),
     }
     save(figure_6({sky: each[0] for sky, each in unseen.items()}), out / "satellites.svg")

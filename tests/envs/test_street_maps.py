@@ -200,7 +200,7 @@ def test_a_road_can_be_pickled() -> None:
 
 
 def test_an_episode_in_both_engines() -> None:
-    config = {"sky": "urban", "layouts": 1, "world": {"map": MAP, "duration": 10.0}}
+    config = {"sky": "urban", "cities": {"count": 1}, "world": {"map": MAP, "duration": 10.0}}
     vector = gymnasium.make_vec(ID, num_envs=1, config=config)
     single = gymnasium.make(ID, config=config)
     (both, _), (one, _) = vector.reset(seed=[4]), single.reset(seed=4)

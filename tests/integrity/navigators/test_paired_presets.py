@@ -126,3 +126,8 @@ def test_a_part_of_a_preset_extends_another_one() -> None:
 def test_the_preset_of_reflections_adds_hypotheses_and_nothing_else() -> None:
     doubtful = NavigatorConfig().replace(positioning={"rtk": {"reflections": {"sets": 60}}})
     assert NavigatorConfig.preset("navigators/reflections") == doubtful != NavigatorConfig()
+
+
+def test_the_preset_of_carriers_changes_the_velocity_and_nothing_else() -> None:
+    by_carriers = NavigatorConfig().replace(positioning={"doppler": {"carriers": True}})
+    assert NavigatorConfig.preset("navigators/carriers") == by_carriers != NavigatorConfig()
