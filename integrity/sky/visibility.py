@@ -343,10 +343,12 @@ def rows_in(data: Mapping[str, NDArray[Any]]) -> MaskRows:
     KeyError, ValueError
         An array is missing, or does not fit the others.
     """
-    rows = MaskRows(*(data[name] for name in MaskRows._fields))
+    given = {name: data[name] for name in MaskRows._fields}
     for name, kind in (("rules", MASK_RULES), ("reflection", REFLECTION), ("faces", FACE), ("edges", EDGE_LINE)):
-        if data[name].dtype != kind:
+        if given[name].dtype != kind:
             raise ValueError(f"{name} has other fields")
+        given[name] = given[name].view(kind)  # files do not say that fields are aligned, which compiled kernels expect
+    rows = MaskRows(**given)
     cells = int(rows.rules["azimuths"][0] * rows.rules["elevations"][0])
     if rows.cell.dtype != np.uint16 or rows.cell.shape != (*rows.first.shape, cells):
         raise ValueError(f"tables must hold (N, L, {cells}) cells, got {rows.cell.shape}")

@@ -6,6 +6,7 @@ import pickle
 from dataclasses import replace
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from line_of_sight import line_of_sight
@@ -178,6 +179,7 @@ def test_saved_masks_come_back_and_know_their_inputs(tmp_path: Path, canyon: tup
     mask.save(file)
     digest = SkyMask.digest_of(STREET, city, station_spacing_m=10.0)
     again = SkyMask.load(file, digest)
+    assert numba.typeof(again.rows) == numba.typeof(mask.rows)  # or kernels would be compiled again
     np.testing.assert_array_equal(again.excess_m, mask.excess_m)
     assert (again.spacing_m, again.closed, again.digest) == (mask.spacing_m, mask.closed, digest)
     assert SkyMask.digest_of(STREET, city) != digest
