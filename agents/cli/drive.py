@@ -51,8 +51,7 @@ def drive(
     name: EnvId,
     agent: Annotated[str, typer.Option(help=AGENT_HELP)] = "cruise",
     sky: Sky = None,
-    faults: Faults = None,
-    fault: OwnFaults = None,
+    faults: OwnFaults = None,
     seed: Seed = 0,
     episodes: Annotated[int, typer.Option(min=1, help="How many episodes.")] = 1,
     video: Video = None,
@@ -76,6 +75,7 @@ def drive(
     """
     from lanebound.agents.cli.static import refuse_early, refuse_film
 
+    faults, options = own_faults(faults)
     given = changes(assignments, sky=sky, faults=faults)
     called, _, named = agent.partition("=")  # NAME=AGENT, as in a benchmark
     agent = named or called
@@ -85,7 +85,6 @@ def drive(
 
     finished: list[int] = []
     seeds, film = range(seed, seed + episodes), (video, film_rate(video, fps))
-    options = {"faults": own} if (own := own_faults(fault)) else None
     with resumable(lambda: _kept(len(finished), out, video)), failing(agent):
         changed = _with_context(given, display)
         drove = with_bar("episodes", lambda report: _drive(name, agent, changed, seeds, film, out, finished, report,

@@ -34,12 +34,11 @@ EnvIds = Annotated[
 EnvId = Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")]
 Faults = Annotated[str | None, typer.Option(help="Instruments fail: none, nominal, stress or one (in each episode).")]
 OwnFaults = Annotated[
-    list[str] | None,
+    str | None,
     typer.Option(
-        "--fault",
-        metavar="KEY=VALUE,...",
-        help="A fault of your own in every episode, in place of random ones: kind=spoofing,start_s=5,magnitude_m=3; "
-        "may be repeated. Keys: docs/environments.md#faults.",
+        "--faults",
+        help="Instruments fail: none, nominal, stress or one (in each episode); or faults of your own in every episode: "
+        "'kind=spoofing,start_s=5,magnitude_m=3; kind=...' (docs/environments.md#faults).",
     ),
 ]
 Fps = Annotated[int | None, typer.Option(min=1, help="Pictures of the film in a second of the drive; 10 by default.")]
@@ -88,17 +87,19 @@ def changes(assignments: list[str] | None, **named: Any) -> dict[str, Any]:
     return changed | given
 
 
-def own_faults(texts: list[str] | None) -> list[dict[str, Any]]:
-    """The faults that ``--fault`` names, as ``reset`` takes them.
+def own_faults(faults: str | None) -> tuple[str | None, dict[str, Any] | None]:
+    """The level that ``--faults`` names, None for none, and the options of ``reset`` with faults of one's own.
 
     Raises
     ------
     ConfigError
-        A text is not a list of KEY=VALUE.
+        A fault is not a list of KEY=VALUE.
     """
     from lanebound.integrity.core.presets import parse_assignments
 
-    return [parse_assignments(text.split(",")) for text in texts or []]
+    if faults is None or "=" not in faults:
+        return faults, None
+    return None, {"faults": [parse_assignments(one.strip().split(",")) for one in faults.split(";")]}
 
 
 def require_one_source(changed: Mapping[str, Any], path: str, option: str) -> None:

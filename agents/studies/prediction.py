@@ -97,7 +97,7 @@ def run_prediction(
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
     found = work_streets(config, "prediction", 2 * config.streets, work_street, out, jobs, on_progress)
-    streets = {sky: [Street.of(part) for part in parts] for sky, parts in found.items()}
+    streets = {sky: [SampledStreet.of(part) for part in parts] for sky, parts in found.items()}
     model = Model.fitted([street for each in streets.values() for street in each[: config.streets]])
     unseen = {sky: each[config.streets :] for sky, each in streets.items()}
     result: dict[str, Any] = {
@@ -169,7 +169,7 @@ def _predictions(config: PredictionConfig, sky: str, number: int, stations: int,
     return found
 
 
-class Street(NamedTuple):
+class SampledStreet(NamedTuple):
     """A street as predicted by M maps at N stations, and K samples of its drives.
 
     Attributes
@@ -186,7 +186,7 @@ class Street(NamedTuple):
     samples: dict[str, Array]
 
     @classmethod
-    def of(cls, part: Mapping[str, Any]) -> Street:
+    def of(cls, part: Mapping[str, Any]) -> SampledStreet:
         """The street of a stored part."""
         maps, samples = part["predicted"], {name: np.asarray(v, float) for name, v in part["samples"].items()}
         numbers = np.array([one["satellites"] for one in maps])
@@ -198,7 +198,7 @@ class Street(NamedTuple):
         return self.samples["station"].astype(np.int64)
 
 
-def differences(streets: Sequence[Street], which: int) -> dict[str, float]:
+def differences(streets: Sequence[SampledStreet], which: int) -> dict[str, float]:
     """Received less predicted by one map, as S2 compares them: numbers of satellites and PDOP.
 
     PDOPs are compared where both sets determine a position with a PDOP below ``WORST_PDOP``.
@@ -239,7 +239,7 @@ class Model(NamedTuple):
     levels: Array
 
     @classmethod
-    def fitted(cls, streets: Sequence[Street]) -> Model:
+    def fitted(cls, streets: Sequence[SampledStreet]) -> Model:
         """The model of the samples of streets."""
         columns = {name: np.concatenate([s.samples[name] for s in streets]) for name in ("rtk", "usable", "pl_ct_m")}
         number, dilution = (np.concatenate([f(s)[s.station] for s in streets]) for f in (_number, _dilution))
@@ -253,24 +253,24 @@ class Model(NamedTuple):
         levels = [np.quantile(columns["pl_ct_m"][group == g], QUANTILES) for g in range(edges.size + 1)]
         return cls(fix, use, edges, np.array(levels))
 
-    def probability(self, street: Street) -> Array:
+    def probability(self, street: SampledStreet) -> Array:
         """Probability of a usable position at the stations of a street, (N,)."""
         return np.asarray(expit(self.use[0].at(_number(street), _gap(self.fix, street)) @ self.use[1]))
 
-    def quantiles(self, street: Street) -> Array:
+    def quantiles(self, street: SampledStreet) -> Array:
         """Quantiles of PL_CT at the stations of a street, (N, Q) [m]."""
         return np.asarray(self.levels[np.searchsorted(self.edges, self.probability(street))])
 
 
-def _number(street: Street) -> Array:
+def _number(street: SampledStreet) -> Array:
     return np.asarray(street.satellites[0], dtype=np.float64)
 
 
-def _dilution(street: Street) -> Array:
+def _dilution(street: SampledStreet) -> Array:
     return np.asarray(np.log(street.pdop[0]))
 
 
-def _gap(fix: tuple[Basis, Array], street: Street) -> Array:
+def _gap(fix: tuple[Basis, Array], street: SampledStreet) -> Array:
     """Logarithm of the time since an RTK position was likely, at the planned speed, (N,)."""
     basis, coefficients = fix
     likely = expit(basis.at(_number(street), _dilution(street)) @ coefficients) >= LIKELY
@@ -286,7 +286,7 @@ def _fit(x: Array, y: Array, happens: NDArray[np.bool_]) -> tuple[Basis, Array]:
     return basis, fit_logistic(basis.at(x, y), happens)
 
 
-def judged(model: Model, streets: Sequence[Street]) -> dict[str, Any]:
+def judged(model: Model, streets: Sequence[SampledStreet]) -> dict[str, Any]:
     """Brier score of the probabilities beside that of the share of these streets, and how often levels lie below.
 
     The skill is ``1 - BS / BS_climate``; the climate knows the usable share of the judged streets, which no forecast
@@ -316,7 +316,7 @@ def judged(model: Model, streets: Sequence[Street]) -> dict[str, Any]:
     }
 
 
-def reliability(model: Model, streets: Sequence[Street]) -> list[dict[str, float]]:
+def reliability(model: Model, streets: Sequence[SampledStreet]) -> list[dict[str, float]]:
     """Predicted probability and usable share of the samples in bins of equal width."""
     said = np.concatenate([model.probability(s)[s.station] for s in streets])
     was = np.concatenate([s.samples["usable"] for s in streets])
@@ -328,7 +328,7 @@ def reliability(model: Model, streets: Sequence[Street]) -> list[dict[str, float
     ]
 
 
-def figure_6(streets: Mapping[str, Street]) -> Figure:
+def figure_6(streets: Mapping[str, SampledStreet]) -> Figure:
     """Received less predicted along the drive of one vehicle, as S2 Figure 6: satellites and PDOP, a row a sky."""
     figure = new_figure(7.5, 1.9 * len(streets) + 0.4)
     axes = figure.subplots(len(streets), 2, squeeze=False)

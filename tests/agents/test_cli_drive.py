@@ -115,8 +115,8 @@ def test_prints_tables():
         (["LaneKeeping", "--agent", "cruse"], "error: agent 'cruse' is unknown: did you mean 'cruise'?"),
         (["LaneKeeping", "--sky", "dence"], "error: sky must be one of"),
         (["LaneKeeping", "--faults", "stres"], "error: faults must be "),
-        (["LaneKeeping", *GIVEN, "--fault", "kind=spoof"], "error: options.faults.0.kind must be one of"),
-        (["LaneKeeping", "--fault", "spoofing"], "error: an override must read key=value, got 'spoofing'"),
+        (["LaneKeeping", *GIVEN, "--faults", "kind=spoof"], "error: options.faults.0.kind must be one of"),
+        (["LaneKeeping", "--faults", "kind=jamming;"], "error: an override must read key=value, got ''"),
         (["LaneKeeping", "--video", "film.avi"], "error: video must end in .mp4, got film.avi"),
         (["LaneKeeping", "--video", "film.mp4", "--fps", "3"], "error: fps must divide simulation_hz = 20, got 3"),
         (["LaneKeeping", "--video", f"{__file__}/a.mp4"], "error: video must be a file that can be written, got"),
@@ -138,7 +138,16 @@ def test_mistakes_are_answered_in_one_line(arguments, message):
 def test_faults_of_ones_own_strike_in_every_episode():
     jamming = "kind=jamming,start_s=2,duration_s=9,magnitude_db=40"
     result = run(
-        "LaneKeeping", "--sky", "open", "--set", "world.duration=3", "--fault", jamming, "--episodes", "2", "--json"
+        "LaneKeeping",
+        "--sky",
+        "open",
+        "--set",
+        "world.duration=3",
+        "--faults",
+        f"{jamming}; kind=corrections_loss,start_s=2",
+        "--episodes",
+        "2",
+        "--json",
     )
     assert result.exit_code == 0, result.output
     for episode in json.loads(result.stdout)["episodes"]:

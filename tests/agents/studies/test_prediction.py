@@ -18,7 +18,7 @@ SHORT: dict[str, Any] = {
 }  # fmt: skip
 
 
-def made_up(seed: int, samples: int = 4000) -> study.Street:
+def made_up(seed: int, samples: int = 4000) -> study.SampledStreet:
     """A street whose positions are usable with a probability that the number of satellites determines."""
     rng = np.random.default_rng(seed)
     number = rng.integers(0, 21, size=200)
@@ -29,7 +29,7 @@ def made_up(seed: int, samples: int = 4000) -> study.Street:
     samples_of = {"station": station.astype(float), "received": number[station] + 2.0, "direct": number[station] * 1.0,
                   "codes": number[station] + 3.0, "pdop": np.full(samples, 2.0), "rtk": usable * 1.0,
                   "usable": usable * 1.0, "pl_ct_m": level}  # fmt: skip
-    return study.Street(5.0, 10.0, number[None], np.full((1, 200), 1.5), samples_of)
+    return study.SampledStreet(5.0, 10.0, number[None], np.full((1, 200), 1.5), samples_of)
 
 
 def test_differences_are_received_less_predicted() -> None:
