@@ -37,7 +37,7 @@ OwnFaults = Annotated[
     str | None,
     typer.Option(
         "--faults",
-        help="Instruments fail: none, nominal, stress or one (in each episode); or faults of your own in every episode: "
+        help="Instruments fail: none, nominal, stress or one (in each episode); or your own in every episode: "
         "'kind=spoofing,start_s=5,magnitude_m=3; kind=...' (docs/environments.md#faults).",
     ),
 ]
