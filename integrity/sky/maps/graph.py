@@ -85,6 +85,17 @@ class StreetGraph:
                     edges.append(StreetEdge(way, end, start, points[::-1], way.lanes_back, way.lanes))
         return cls(tuple(edges), tuple(_turns(streets, edges)))
 
+    def near(self, places_en_m: ArrayLike, reach_m: float) -> StreetGraph:
+        """The part of the graph within a distance of the bounding box of places.  (n, 2) [m]."""
+        places = np.asarray(places_en_m, dtype=np.float64)
+        low, high = places.min(0) - reach_m, places.max(0) + reach_m
+        kept = [
+            k for k, edge in enumerate(self.edges) if ((edge.points_en_m >= low) & (edge.points_en_m <= high)).all()
+        ]
+        new = {k: n for n, k in enumerate(kept)}
+        turns = ((new[a], new[b]) for a, b in self.turns if a in new and b in new)
+        return StreetGraph(tuple(self.edges[k] for k in kept), tuple(turns))
+
     @cached_property
     def junctions(self) -> tuple[int, ...]:
         """Numbers of the points at which edges begin or end."""
@@ -96,7 +107,8 @@ class StreetGraph:
         import rustworkx
 
         parts = rustworkx.strongly_connected_components(self._turn_graph)
-        return frozenset(max(parts, key=lambda part: (sum(self.edges[k].length_m for k in part), -min(part))))
+        longest = max(parts, key=lambda part: (sum(self.edges[k].length_m for k in part), -min(part)), default=())
+        return frozenset(longest)
 
     @cached_property
     def _turn_graph(self) -> Any:

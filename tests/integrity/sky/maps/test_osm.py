@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import xml.etree.ElementTree as ET
+import zlib
 from collections import Counter
 from pathlib import Path
 
@@ -177,6 +178,24 @@ def test_too_much_is_refused_before_it_is_kept(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(reader, "LARGEST_BYTES", 100)
     with pytest.raises(InputError, match="must have 1 to 100 bytes"):
         read_osm(tmp_path / "map.osm")
+
+
+def test_a_small_pbf_that_holds_much_is_refused(tmp_path: Path) -> None:
+    block = zlib.compress(bytes(2**25))
+    blob = b"\x10" + varint(2**25) + b"\x1a" + varint(len(block)) + block
+    header = b"\x0a\x07OSMData\x18" + varint(len(blob))
+    file = tmp_path / "bomb.osm.pbf"
+    file.write_bytes(9 * (len(header).to_bytes(4, "big") + header + blob))
+    assert file.stat().st_size < 400_000
+    with pytest.raises(InputError, match="at most 268435456 bytes, got more"):
+        read_osm(file)
+
+
+def varint(value: int) -> bytes:
+    out = b""
+    while value > 127:
+        out, value = out + bytes([value & 127 | 128]), value >> 7
+    return out + bytes([value])
 
 
 def test_maps_by_name(tmp_path: Path) -> None:
