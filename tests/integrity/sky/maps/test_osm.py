@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import sys
 import xml.etree.ElementTree as ET
 import zlib
 from collections import Counter
@@ -15,6 +16,7 @@ from osm_files import PLACE, STREET, blocks, node, osm, relation, square, way, w
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps import osm as reader
 from lanebound.integrity.sky.maps.files import map_of, packaged_maps
+from lanebound.integrity.sky.maps.graph import StreetGraph
 from lanebound.integrity.sky.maps.osm import read_osm
 from lanebound.integrity.sky.maps.records import MapFrame, Restriction
 from lanebound.integrity.sky.maps.tags import DRIVABLE
@@ -196,6 +198,17 @@ def varint(value: int) -> bytes:
     while value > 127:
         out, value = out + bytes([value & 127 | 128]), value >> 7
     return out + bytes([value])
+
+
+def test_without_the_extra_its_name_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = blocks(tmp_path / "map.osm")
+    graph = StreetGraph.of(read_osm(file))
+    for module in ("osmium", "rustworkx"):
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=r"needs the extra maps: pip install 'lanebound\[maps\]'"):
+        read_osm(file)
+    with pytest.raises(InputError, match=r"needs the extra maps: pip install 'lanebound\[maps\]'"):
+        _ = graph.connected
 
 
 def test_maps_by_name(tmp_path: Path) -> None:
