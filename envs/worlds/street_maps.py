@@ -52,6 +52,7 @@ SAMPLE_M = 2.0
 LEAST_CUT_M = 2.0  # straight at which one road goes over into the next
 LEAST_ROAD_M = 40.0
 LEAST_LOOP_M = 200.0
+REACH_M = 2000.0  # from the middle of a map, or from the places of a way: a longer way is none of one episode
 LANE_WIDTH_M = 3.25  # of worlds, if none is given
 ROADS = 4  # at least, where there are straights
 UNIT_M = 100.0
@@ -156,11 +157,9 @@ def _fitted(
     streets: StreetMap, graph: StreetGraph, via: tuple[Place, ...], width_m: float, count: int
 ) -> Iterator[tuple[_LaneLine, int]]:
     """The first lines that can be driven, of loops in order of their length, the longest first; at most ``count``."""
-    if via:
-        places = [tuple(streets.frame.en_of(*place).tolist()) for place in via]
-        loops = list(loops_via(streets, graph, places))
-    else:
-        loops = list(loops_of(streets, graph))
+    places = [tuple(streets.frame.en_of(*place).tolist()) for place in via]
+    near = graph.near(places or [(0.0, 0.0)], REACH_M)
+    loops = list(loops_via(streets, near, places) if via else loops_of(streets, near))
     for loop in sorted(loops, key=lambda one: -one.length_m):
         lanes = min(edge.lanes for edge in loop.edges)
         line = _joined(_offset(loop, lanes, width_m), lanes, width_m)

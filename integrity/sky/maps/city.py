@@ -90,11 +90,14 @@ def in_buildings(points_en_m: ArrayLike, solids: Sequence[Solid]) -> NDArray[np.
     """Whether places lie in the outline of a building that leaves no passage of 4.5 m below it.  (n, 2) [m] -> (n,)."""
     points = np.asarray(points_en_m, dtype=np.float64)
     hit = np.zeros(len(points), dtype=np.bool_)
+    order = np.argsort(points[:, 0], kind="stable")
+    sorted_m = points[order, 0]
     for solid in solids:
         if solid.bottom_m >= CLEARANCE_M:
             continue
         low, high = solid.rings_en_m[0].min(0), solid.rings_en_m[0].max(0)
-        near = np.flatnonzero(((points >= low) & (points <= high)).all(1))
+        near = order[np.searchsorted(sorted_m, low[0]) : np.searchsorted(sorted_m, high[0], side="right")]
+        near = near[(points[near, 1] >= low[1]) & (points[near, 1] <= high[1])]
         if near.size:
             hit[near] |= inside(points[near], solid.rings_en_m)
     return hit

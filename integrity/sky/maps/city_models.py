@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.sky.maps.gzipped import read_bytes
 from lanebound.integrity.sky.maps.polygons import MOST_CORNERS, cleaned, triangulated
 from lanebound.integrity.sky.maps.records import MapFrame
+from lanebound.integrity.sky.maps.sizes import read_bytes
 from lanebound.integrity.sky.maps.utm import Utm
 from lanebound.integrity.sky.scene import City
 

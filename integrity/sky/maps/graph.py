@@ -85,6 +85,17 @@ class StreetGraph:
                     edges.append(StreetEdge(way, end, start, points[::-1], way.lanes_back, way.lanes))
         return cls(tuple(edges), tuple(_turns(streets, edges)))
 
+    def near(self, places_en_m: ArrayLike, reach_m: float) -> StreetGraph:
+        """The part of the graph within a distance of the bounding box of places.  (n, 2) [m]."""
+        places = np.asarray(places_en_m, dtype=np.float64)
+        low, high = places.min(0) - reach_m, places.max(0) + reach_m
+        kept = [
+            k for k, edge in enumerate(self.edges) if ((edge.points_en_m >= low) & (edge.points_en_m <= high)).all()
+        ]
+        new = {k: n for n, k in enumerate(kept)}
+        turns = ((new[a], new[b]) for a, b in self.turns if a in new and b in new)
+        return StreetGraph(tuple(self.edges[k] for k in kept), tuple(turns))
+
     @cached_property
     def junctions(self) -> tuple[int, ...]:
         """Numbers of the points at which edges begin or end."""
@@ -93,19 +104,14 @@ class StreetGraph:
     @cached_property
     def connected(self) -> frozenset[int]:
         """The largest set of edges of which each can be reached from each by allowed turns."""
-        import rustworkx
-
-        parts = rustworkx.strongly_connected_components(self._turn_graph)
-        return frozenset(max(parts, key=lambda part: (sum(self.edges[k].length_m for k in part), -min(part))))
+        parts = _rustworkx().strongly_connected_components(self._turn_graph)
+        longest = max(parts, key=lambda part: (sum(self.edges[k].length_m for k in part), -min(part)), default=())
+        return frozenset(longest)
 
     @cached_property
     def _turn_graph(self) -> Any:
         """Edges as nodes, turns between them as edges that hold the number of the edge that is entered."""
-        try:
-            import rustworkx
-        except ImportError as error:
-            raise InputError("a map of streets needs the extra maps: pip install 'lanebound[maps]'") from error
-        graph: Any = rustworkx.PyDiGraph(multigraph=False)
+        graph: Any = _rustworkx().PyDiGraph(multigraph=False)
         graph.add_nodes_from(range(len(self.edges)))
         graph.add_edges_from([(a, b, b) for a, b in self.turns])
         return graph
@@ -115,11 +121,9 @@ class StreetGraph:
 
         without : edges that are not used between them
         """
-        import rustworkx
-
         cost = self._lengths_m.copy()
         cost[[k for k in without if k != last]] = BARRED_M
-        found = rustworkx.dijkstra_shortest_paths(self._turn_graph, first, last, weight_fn=lambda k: float(cost[k]))
+        found = _rustworkx().dijkstra_shortest_paths(self._turn_graph, first, last, weight_fn=lambda k: float(cost[k]))
         way = list(found[last]) if last in found else None
         return None if way is None or cost[way[1:]].max(initial=0.0) >= BARRED_M else way
 
@@ -131,6 +135,15 @@ class StreetGraph:
         """The edge nearest to a place, of some.  (2,) [m]."""
         place = np.asarray(place_en_m, dtype=np.float64)
         return min(among, key=lambda k: (_distance_m(self.edges[k].points_en_m, place), k))
+
+
+def _rustworkx() -> Any:
+    """The library of graphs."""
+    try:
+        import rustworkx
+    except ImportError as error:
+        raise InputError("a map of streets needs the extra maps: pip install 'lanebound[maps]'") from error
+    return rustworkx
 
 
 def _distance_m(line: Array, place: Array) -> float:

@@ -21,8 +21,8 @@ from scipy.spatial import cKDTree
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps import tags as tg
 from lanebound.integrity.sky.maps.buildings import Outline, solids_of
-from lanebound.integrity.sky.maps.gzipped import require_moderate_gzip
 from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, Restriction, StreetMap, StreetWay, Tree
+from lanebound.integrity.sky.maps.sizes import require_moderate_gzip, require_moderate_pbf
 
 __all__ = ["SUFFIXES", "read_osm"]
 
@@ -33,6 +33,7 @@ _Plan = Callable[[Sequence[Sequence[Place]]], list[Array | None]]
 SUFFIXES = (".osm", ".osm.gz", ".osm.pbf")
 LARGEST_BYTES = 64 * 2**20  # of a file; a million buildings
 LARGEST_TEXT_BYTES = 2**29  # of XML after decompression
+LARGEST_PBF_BYTES = 2**28  # after decompression: a node has 3 bytes at least there, and 16 in the memory
 MOST_OBJECTS = {"streets": 100_000, "outlines": 200_000, "trees": 500_000, "points": 5_000_000}
 REACH_M = 10_000.0  # from the middle; what lies farther is left out: the ground is taken for flat
 ROW_SPACING_M = 8.0  # between the trees of a row, as in generated streets with trees
@@ -124,6 +125,8 @@ def _require_file(file: Path) -> None:
         raise InputError(f"map {file} must have 1 to {LARGEST_BYTES} bytes, got {size}: cut a part of a city")
     if file.name.lower().endswith(".gz"):
         require_moderate_gzip(file, "map", LARGEST_TEXT_BYTES)
+    if file.name.lower().endswith(".pbf"):
+        require_moderate_pbf(file, "map", LARGEST_PBF_BYTES)
 
 
 def _require_streets(file: Path, streets: Sequence[Any], found: _Found) -> None:

@@ -65,6 +65,17 @@ def test_the_shortest_way(tmp_path: Path) -> None:
     assert graph.way(number[1, 2], number[5, 4], frozenset({number[2, 5], number[2, 3]})) is None
 
 
+def test_the_part_near_a_place(tmp_path: Path) -> None:
+    streets = read_osm(blocks(tmp_path / "map.osm", columns=6))
+    graph = StreetGraph.of(streets)
+    left = {n: p for street in streets.streets for n, p in zip(street.nodes, street.points_en_m, strict=True)}[1]
+    part = graph.near([left], 250.0)
+    assert part.junctions == (1, 2, 3, 7, 8, 9)
+    assert {round(loop.length_m) for loop in loops_of(streets, part)} == {480, 720}
+    nothing = graph.near([left + 9000.0], 250.0)
+    assert (nothing.edges, nothing.connected, list(loops_of(streets, nothing))) == ((), frozenset(), [])
+
+
 def closed(loop: ClosedWay) -> bool:
     edges = loop.edges
     return all(a.end == b.start and not a.turns_back(b) for a, b in pairwise((*edges, edges[0])))

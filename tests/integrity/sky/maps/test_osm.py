@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gzip
+import sys
 import xml.etree.ElementTree as ET
+import zlib
 from collections import Counter
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from osm_files import PLACE, STREET, blocks, node, osm, relation, square, way, w
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps import osm as reader
 from lanebound.integrity.sky.maps.files import map_of, packaged_maps
+from lanebound.integrity.sky.maps.graph import StreetGraph
 from lanebound.integrity.sky.maps.osm import read_osm
 from lanebound.integrity.sky.maps.records import MapFrame, Restriction
 from lanebound.integrity.sky.maps.tags import DRIVABLE
@@ -177,6 +180,35 @@ def test_too_much_is_refused_before_it_is_kept(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(reader, "LARGEST_BYTES", 100)
     with pytest.raises(InputError, match="must have 1 to 100 bytes"):
         read_osm(tmp_path / "map.osm")
+
+
+def test_a_small_pbf_that_holds_much_is_refused(tmp_path: Path) -> None:
+    block = zlib.compress(bytes(2**25))
+    blob = b"\x10" + varint(2**25) + b"\x1a" + varint(len(block)) + block
+    header = b"\x0a\x07OSMData\x18" + varint(len(blob))
+    file = tmp_path / "bomb.osm.pbf"
+    file.write_bytes(9 * (len(header).to_bytes(4, "big") + header + blob))
+    assert file.stat().st_size < 400_000
+    with pytest.raises(InputError, match="at most 268435456 bytes, got more"):
+        read_osm(file)
+
+
+def varint(value: int) -> bytes:
+    out = b""
+    while value > 127:
+        out, value = out + bytes([value & 127 | 128]), value >> 7
+    return out + bytes([value])
+
+
+def test_without_the_extra_its_name_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = blocks(tmp_path / "map.osm")
+    graph = StreetGraph.of(read_osm(file))
+    for module in ("osmium", "rustworkx"):
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=r"needs the extra maps: pip install 'lanebound\[maps\]'"):
+        read_osm(file)
+    with pytest.raises(InputError, match=r"needs the extra maps: pip install 'lanebound\[maps\]'"):
+        _ = graph.connected
 
 
 def test_maps_by_name(tmp_path: Path) -> None:
