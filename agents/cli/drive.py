@@ -18,12 +18,14 @@ from lanebound.agents.cli.options import (
     EnvId,
     Faults,
     Fps,
+    OwnFaults,
     Plugins,
     Seed,
     Sky,
     Video,
     changes,
     film_rate,
+    own_faults,
 )
 from lanebound.agents.cli.output import print_json, print_table, resumable, wait_for, with_bar
 from lanebound.agents.drivers import AGENTS
@@ -50,6 +52,7 @@ def drive(
     agent: Annotated[str, typer.Option(help=AGENT_HELP)] = "cruise",
     sky: Sky = None,
     faults: Faults = None,
+    fault: OwnFaults = None,
     seed: Seed = 0,
     episodes: Annotated[int, typer.Option(min=1, help="How many episodes.")] = 1,
     video: Video = None,
@@ -82,10 +85,11 @@ def drive(
 
     finished: list[int] = []
     seeds, film = range(seed, seed + episodes), (video, film_rate(video, fps))
+    options = {"faults": own} if (own := own_faults(fault)) else None
     with resumable(lambda: _kept(len(finished), out, video)), failing(agent):
         changed = _with_context(given, display)
         drove = with_bar("episodes", lambda report: _drive(name, agent, changed, seeds, film, out, finished, report,
-                                                           display))  # fmt: skip
+                                                           display, options))  # fmt: skip
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
     files["warnings"] = out / WARNINGS if out and (out / WARNINGS).is_file() else None
     print_report(f"{called} in {name}", *drove, files, as_json)
@@ -142,6 +146,7 @@ def _drive(
     finished: list[int],
     on_progress: OnProgress,
     display: bool = False,
+    options: dict[str, Any] | None = None,
 ) -> tuple[list[Outcome], dict[str, dict[str, float | None]], float | None, tuple[str, ...]]:
     """Outcomes of the episodes, errors and levels of the position, the limit of the cost, and services of the ego.
 
@@ -176,13 +181,14 @@ def _drive(
         stack.callback(env.close)
         if film[0] is not None:
             watchers.append(stack.enter_context(Film(shown if display else env, film[0], film[1])))
-        drive_all(env, driver, list(seeds), watchers, keep)
+        drive_all(env, driver, list(seeds), watchers, keep, options)
     if shown is not None:
         _tell(shown, out)
     if out is not None:
         driven = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
         sky = Path(env.config.sky).name
-        _draw(env, log, out, f"{name}, {agent}: {sky} sky, faults {env.config.faults.value}, {driven}")
+        faults = ", ".join(one["kind"] for one in options["faults"]) if options else env.config.faults.value
+        _draw(env, log, out, f"{name}, {agent}: {sky} sky, faults {faults}, {driven}")
     place = Place(name, env.config.sky, env.config.faults.value)
     outcomes = [
         outcome_of(log.episode(i), allotted_s(env), Task(place, agent, seed), env.config)

@@ -33,6 +33,15 @@ EnvIds = Annotated[
 ]
 EnvId = Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")]
 Faults = Annotated[str | None, typer.Option(help="Instruments fail: none, nominal, stress or one (in each episode).")]
+OwnFaults = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        metavar="KEY=VALUE,...",
+        help="A fault of your own in every episode, in place of random ones: kind=spoofing,start_s=5,magnitude_m=3; "
+        "may be repeated. Keys: docs/environments.md#faults.",
+    ),
+]
 Fps = Annotated[int | None, typer.Option(min=1, help="Pictures of the film in a second of the drive; 10 by default.")]
 Fresh = Annotated[bool, typer.Option("--fresh/--resume", help="Remove the results of an earlier run, or resume it.")]
 FullTables = Annotated[bool, typer.Option("--full", help="Print the tables of every cell, with intervals.")]
@@ -77,6 +86,19 @@ def changes(assignments: list[str] | None, **named: Any) -> dict[str, Any]:
     for key in given:
         require_one_source(changed, key, OPTION_OF.get(key, f"--{key.replace('_', '-')}"))
     return changed | given
+
+
+def own_faults(texts: list[str] | None) -> list[dict[str, Any]]:
+    """The faults that ``--fault`` names, as ``reset`` takes them.
+
+    Raises
+    ------
+    ConfigError
+        A text is not a list of KEY=VALUE.
+    """
+    from lanebound.integrity.core.presets import parse_assignments
+
+    return [parse_assignments(text.split(",")) for text in texts or []]
 
 
 def require_one_source(changed: Mapping[str, Any], path: str, option: str) -> None:

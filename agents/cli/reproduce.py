@@ -125,3 +125,24 @@ def context(
     config = ContextStudyConfig().replace(**changes(assignments, seeds=seeds))
     tables = carry_out(out, "part", lambda report: run_context(config, out, report), "points")
     show(tables, shown(tables), as_json, f"tables.json and figures: {out}")
+
+
+@app.command("prediction")
+def prediction(
+    out: Annotated[Path, typer.Option(help="Folder for results.json and the figures; a run is resumed there.")],
+    streets: Annotated[
+        int | None, typer.Option(min=1, help="Streets of each sky for the fit, and as many others; the study has 10.")
+    ] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Satellites, PDOP, availability and levels predicted before a journey from maps of a city, as in S2 section 3.
+
+    Example: lanebound reproduce prediction --out out/prediction --streets 4
+    """
+    from lanebound.agents.studies.prediction import PredictionConfig, run_prediction, shown
+
+    config = PredictionConfig.load(changes(assignments, streets=streets))
+    result = carry_out(out, "part", lambda report: run_prediction(config, out, jobs, report))
+    show(result, shown(result), as_json, f"results.json and figures: {out}")

@@ -27,23 +27,25 @@ def drive(
     seeds: Sequence[int],
     watchers: Sequence[Watcher] = (),
     ended: Callable[[int], None] = lambda episode: None,
+    options: dict[str, Any] | None = None,
 ) -> None:
     """Drive one episode for each seed; the agent receives observations, the watchers whole moments.
 
     Parameters
     ----------
     ended : called with the number of each finished episode
+    options : of every reset
     """
     for episode, seed in enumerate(seeds):
-        for moment in _moments(env, agent, episode, seed):
+        for moment in _moments(env, agent, episode, seed, options):
             for watcher in watchers:
                 watcher.note(moment)
         ended(episode)
 
 
-def _moments(env: DrivingEnv, agent: Driver, episode: int, seed: int) -> Any:
+def _moments(env: DrivingEnv, agent: Driver, episode: int, seed: int, options: dict[str, Any] | None) -> Any:
     """The moments of an episode, from its start to its end."""
-    observation, info = env.reset(seed=seed)
+    observation, info = env.reset(seed=seed, options=options)
     yield moment_of(env, episode, seed, 0, None, 0.0, False, False, info)
     state, start, step, over = None, np.ones(1, dtype=np.bool_), 0, False
     while not over:

@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.learning.multiplier import Multiplier, MultiplierConfig
 from lanebound.envs.config import EnvConfig
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["Constraints", "GroupLimit", "costs_in", "group_limits"]
+__all__ = ["Constraints", "GroupLimit", "costs_in", "group_limits", "own_limit"]
 
 
 class GroupLimit(NamedTuple):
@@ -40,6 +41,25 @@ def group_limits(config: EnvConfig) -> tuple[GroupLimit, ...]:
     return tuple(
         GroupLimit(group, limit, config.cost.weights_of(group)) for group, limit in config.cost_limits.given.items()
     )
+
+
+def own_limit(env: Any) -> float:
+    """The ``cost_limit`` of an environment, or of the environments of a VecEnv.
+
+    Raises
+    ------
+    InputError
+        An environment that has no such limit.
+    """
+    if env is None:  # a model that is loaded takes the limit that it was saved with
+        return 1.0
+    try:
+        config = env.get_attr("config")[0] if isinstance(env, VecEnv) else env.get_wrapper_attr("config")
+    except AttributeError:
+        config = None
+    if not isinstance(config, EnvConfig):
+        raise InputError(f"cost_limit must be given for {env}, which has no limit of its own: pass cost_limit=25.0")
+    return config.cost_limit
 
 
 def costs_in(infos: Sequence[Mapping[str, Any]], groups: Sequence[GroupLimit] = ()) -> NDArray[np.float32]:

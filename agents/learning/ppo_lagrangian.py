@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 
-from lanebound.agents.learning.constraints import Constraints, GroupLimit, costs_in
+from lanebound.agents.learning.constraints import Constraints, GroupLimit, costs_in, own_limit
 from lanebound.agents.learning.costs import CostCritic, EpisodeCosts, advantages, require_flat
 from lanebound.agents.learning.multiplier import MultiplierConfig
 
@@ -28,7 +28,7 @@ class PPOLagrangian(PPO):
     Parameters
     ----------
     policy, env, *arguments, **settings : as of PPO; observations are flat
-    cost_limit : of the sum of ``info["cost"]`` over an episode
+    cost_limit : of the sum of ``info["cost"]`` over an episode; None: that of the environment
     cost_limits : of groups of causes in addition, as :func:`.group_limits` makes them
     multiplier : gains of the control of each
     cost_gamma : discount of costs
@@ -48,7 +48,7 @@ class PPOLagrangian(PPO):
         policy: Any,
         env: Any,
         *arguments: Any,
-        cost_limit: float = 1.0,
+        cost_limit: float | None = None,
         cost_limits: Sequence[GroupLimit] = (),
         multiplier: MultiplierConfig | None = None,
         cost_gamma: float = 0.99,
@@ -56,7 +56,8 @@ class PPOLagrangian(PPO):
         cost_learning_rate: float = 1e-3,
         **settings: Any,
     ) -> None:
-        self.constraints = Constraints(cost_limit, cost_limits, multiplier or MultiplierConfig())
+        limit = own_limit(env) if cost_limit is None else cost_limit
+        self.constraints = Constraints(limit, cost_limits, multiplier or MultiplierConfig())
         self.cost_gamma, self.cost_gae_lambda = cost_gamma, cost_gae_lambda
         self.cost_learning_rate = cost_learning_rate
         super().__init__(policy, env, *arguments, **settings)

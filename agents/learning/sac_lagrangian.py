@@ -19,7 +19,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
-from lanebound.agents.learning.constraints import Constraints, GroupLimit, costs_in
+from lanebound.agents.learning.constraints import Constraints, GroupLimit, costs_in, own_limit
 from lanebound.agents.learning.costs import CostCritic, EpisodeCosts, require_flat
 from lanebound.agents.learning.multiplier import MultiplierConfig
 
@@ -80,7 +80,7 @@ class SACLagrangian(SAC):
     Parameters
     ----------
     policy, env, *arguments, **settings : as of SAC; observations are flat
-    cost_limit : of the sum of ``info["cost"]`` over an episode
+    cost_limit : of the sum of ``info["cost"]`` over an episode; None: that of the environment
     cost_limits : of groups of causes in addition, as :func:`.group_limits` makes them
     multiplier : gains of the control of each, updated when episodes have ended
     cost_gamma : discount of costs
@@ -98,13 +98,14 @@ class SACLagrangian(SAC):
         policy: Any,
         env: Any,
         *arguments: Any,
-        cost_limit: float = 1.0,
+        cost_limit: float | None = None,
         cost_limits: Sequence[GroupLimit] = (),
         multiplier: MultiplierConfig | None = None,
         cost_gamma: float = 0.99,
         **settings: Any,
     ) -> None:
-        self.constraints = Constraints(cost_limit, cost_limits, multiplier or MultiplierConfig())
+        limit = own_limit(env) if cost_limit is None else cost_limit
+        self.constraints = Constraints(limit, cost_limits, multiplier or MultiplierConfig())
         self.cost_gamma = cost_gamma
         settings.setdefault("replay_buffer_class", CostReplayBuffer)
         kept = settings.get("replay_buffer_kwargs") or {}

@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.report.pages import Table
+from lanebound.agents.studies.splines import KNOTS, Basis, fit_linear, fit_logistic
 from lanebound.agents.studies.street_drives import DriveMoment, StreetDrivesConfig, drive_street, work_streets
 from lanebound.agents.studies.study import Shown, stored
 from lanebound.integrity.assessment.accuracy import clopper_pearson
@@ -311,9 +311,6 @@ def auc_figure(cells: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 LONGEST_S = 1e4  # in place of the age of an RTK position that never was
-AGE_KNOTS, LEVEL_KNOTS = 6, 6  # at quantiles of the streets that are fitted
-RIDGE = 1.0  # penalty of a squared coefficient, in samples
-NEWTON_STEPS, LONGEST_STEP, SETTLED = 30, 5.0, 1e-4
 
 
 class InformativenessConfig(StreetDrivesConfig):
@@ -377,8 +374,8 @@ def compare(streets: Sequence[Mapping[str, Any]], error_m: float) -> dict[str, A
                 continue
             if not fitted.any():
                 fitted = street != held  # a mode that no other street has
-            for scores, knots in ((clock, 1), (whole, LEVEL_KNOTS)):
-                basis = _Basis(age[fitted], level[fitted], knots)
+            for scores, knots in ((clock, 1), (whole, KNOTS)):
+                basis = Basis(age[fitted], level[fitted], (KNOTS, knots))
                 known, new = basis.at(age[fitted], level[fitted]), basis.at(age[asked], level[asked])
                 scores[asked] = new @ fit_logistic(known, large[fitted])
                 if knots == 1:
@@ -396,56 +393,6 @@ def compare(streets: Sequence[Mapping[str, Any]], error_m: float) -> dict[str, A
         "gain": _interval(aucs[1] - aucs[0]),
         "r2": _interval(_weighted_r2(predicted, level, street, every)),
     }
-
-
-class _Basis:
-    """Columns of a model: an intercept, and products of hat functions of age and level with knots at their quantiles.
-
-    With one level knot the level does not enter.
-    """
-
-    def __init__(self, age: Array, level: Array, level_knots: int) -> None:
-        self._age, self._level = _knots(age, AGE_KNOTS), _knots(level, level_knots)
-
-    def at(self, age: Array, level: Array) -> Array:
-        """The columns (n, k) of samples."""
-        products = _hats(age, self._age)[:, :, None] * _hats(level, self._level)[:, None, :]
-        return np.concatenate([np.ones((age.size, 1)), products.reshape(age.size, -1)], 1)
-
-
-def _knots(values: Array, count: int) -> Array:
-    """Distinct quantiles of values."""
-    return np.unique(np.quantile(values, np.linspace(0.0, 1.0, count) if count > 1 else [0.5]))
-
-
-def _hats(values: Array, knots: Array) -> Array:
-    """Linear B-splines (n, K), whose sum is 1; constant beyond the knots."""
-    return np.stack([np.interp(values, knots, row) for row in np.eye(knots.size)], -1)
-
-
-def _penalty(columns: Array) -> Array:
-    """The ridge, without the intercept."""
-    ridge = np.full(columns.shape[1], RIDGE)
-    ridge[0] = 1e-6
-    return ridge
-
-
-def fit_linear(columns: Array, target: Array) -> Array:
-    """Coefficients of ridge regression."""
-    return np.asarray(np.linalg.solve(columns.T @ columns + np.diag(_penalty(columns)), columns.T @ target))
-
-
-def fit_logistic(columns: Array, target: Bools) -> Array:
-    """Coefficients of ridge-penalised logistic regression, by Newton's method."""
-    ridge, x = _penalty(columns), np.zeros(columns.shape[1])
-    for _ in range(NEWTON_STEPS):
-        p = expit(columns @ x)
-        slope = columns.T @ (target - p) - ridge * x
-        step = np.linalg.solve((columns * (p * (1.0 - p))[:, None]).T @ columns + np.diag(ridge), slope)
-        x += np.clip(step, -LONGEST_STEP, LONGEST_STEP)
-        if np.abs(step).max() < SETTLED:
-            break
-    return x
 
 
 def _weighted_auc(scores: Array, large: Bools, street: NDArray[np.int64], weight: Array) -> Array:

@@ -26,7 +26,7 @@ from lanebound.integrity.sensors.campaign import FaultPriors, random_campaign
 from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.sky.city import build_city
 from lanebound.integrity.sky.road import Road
-from lanebound.integrity.sky.scene import clad
+from lanebound.integrity.sky.scene import City, clad
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
@@ -146,13 +146,15 @@ def street_of(config: StreetDrivesConfig, sky: str, number: int) -> tuple[Naviga
 
 def mask_of(config: StreetDrivesConfig, sky: str, number: int) -> SkyMask:
     """What the buildings of a street leave of its sky; it does not depend on the navigator."""
-    level, seeds = SkyLevel.named(sky), [config.seed, number]
-    road = road_of(config, number)
+    road, city = road_of(config, number), city_of(config, sky, number)
+    return SkyMask.build(road, city, az_step_deg=AZIMUTH_STEP_DEG, el_step_deg=ELEVATION_STEP_DEG)
+
+
+def city_of(config: StreetDrivesConfig, sky: str, number: int) -> City:
+    """What lines street ``number`` under a sky."""
+    level, seeds, road = SkyLevel.named(sky), [config.seed, number], road_of(config, number)
     city = build_city(road, level.streets_along(2.0 * road.edge_m), named_generator(seeds, "city"))
-    facades = clad(city.building, level.material_shares, named_generator(seeds, "facades"))
-    return SkyMask.build(
-        road, replace(city, material=facades), az_step_deg=AZIMUTH_STEP_DEG, el_step_deg=ELEVATION_STEP_DEG
-    )
+    return replace(city, material=clad(city.building, level.material_shares, named_generator(seeds, "facades")))
 
 
 def drive_of(config: StreetDrivesConfig, number: int, dt_s: float) -> Iterator[Truth]:

@@ -29,7 +29,7 @@ import numba
 from numba.core import event
 
 from lanebound.integrity.core.kernel_cache import cache_directory, cache_root, locating
-from lanebound.integrity.core.kernel_dispatcher import kernel_of
+from lanebound.integrity.core.kernel_dispatcher import LEVEL, kernel_of
 
 __all__ = ["LOGGER", "jit", "kernels_are_cached", "run_rows", "serial", "thread_count"]
 
@@ -83,7 +83,7 @@ def jit(function: F | None = None, *, inline: bool = False, forceinline: bool = 
 @cache
 def _directory_of(file: str) -> str | None:
     """Cache directory of the kernels of a file."""
-    return cache_directory(Path(file), repr(("nogil", *sorted(FASTMATH))))
+    return cache_directory(Path(file), repr(("nogil", LEVEL, *sorted(FASTMATH))))
 
 
 def _directory(function: Callable[..., Any]) -> str | None:

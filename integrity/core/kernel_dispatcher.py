@@ -33,10 +33,11 @@ from numba.extending import lower_cast
 
 from lanebound.integrity.core.kernel_cache import PORTABLE, takes_shipped
 
-__all__ = ["Kernel", "kernel_of"]
+__all__ = ["LEVEL", "Kernel", "kernel_of"]
 
 INNER, OUTER = "inner", "outer"  # forms in the cache: without and with the Python wrapper
 
+LEVEL = type(numba.config.OPT)(2)  # type: ignore[attr-defined]  # kernels of level 3 are no faster
 COLLECTION = 100_000  # new objects between two collections while kernels are compiled
 NEEDED: tuple[tuple[Any, tuple[str, ...]], ...] = (
     (CPUDispatcher, ("compile", "get_call_template", "add_overload", "overloads", "targetoptions", "_cache")),
@@ -90,7 +91,7 @@ class Kernel(CPUDispatcher):
             args, _ = sigutils.normalize_signature(sig)
             if not self._is_inner and (found := self.overloads.get(tuple(args))) is not None and not _is_outer(found):
                 self._replaced.append(self.overloads.pop(tuple(args)))
-            with _rare_collection():
+            with _compiling():
                 return super().compile(sig)
 
     def compile_inner(self, signature: tuple[Any, ...]) -> None:
@@ -146,15 +147,20 @@ def _as_array(context: Any, builder: Any, kind: Any, wanted: Any, value: Any) ->
 
 
 @contextmanager
-def _rare_collection() -> Iterator[None]:
-    """Context in which Python collects garbage rarely: a tenth of the time to compile. Numba's lock is held."""
-    before = gc.get_threshold()
-    if 0 < before[0] < COLLECTION:
-        gc.set_threshold(COLLECTION, *before[1:])
+def _compiling() -> Iterator[None]:
+    """Context in which LLVM optimises at ``LEVEL`` at most, and Python collects garbage rarely. Numba's lock is held.
+
+    Each saves a tenth of the time to compile.
+    """
+    collection, level = gc.get_threshold(), numba.config.OPT  # type: ignore[attr-defined]
+    if 0 < collection[0] < COLLECTION:
+        gc.set_threshold(COLLECTION, *collection[1:])
+    numba.config.OPT = min(level, LEVEL)  # type: ignore[attr-defined]
     try:
         yield
     finally:
-        gc.set_threshold(*before)
+        gc.set_threshold(*collection)
+        numba.config.OPT = level  # type: ignore[attr-defined]
 
 
 class _KernelCache(FunctionCache):

@@ -68,6 +68,17 @@ class SkyForecast:
         run_rows(free_rows, each.shape[0], city.grid, each, cell_centres(azimuths, elevations), free, row_us=500.0)
         return cls(free[rows], azimuths, elevations, spacing_m)
 
+    def in_sight(self, sky: SkyView) -> NDArray[np.bool_]:
+        """Whether satellites are in line of sight above the mask angle at all stations and lanes, (N, L, S).
+
+        The satellites are those of the first row of ``sky.index``.
+        """
+        row = int(sky.index[0])
+        azimuth = np.floor(sky.azimuth_rad[row] * (self.azimuths / (2.0 * np.pi))).astype(np.int64) % self.azimuths
+        elevation = np.floor(sky.elevation_rad[row] * (self.elevations / (0.5 * np.pi))).astype(np.int64)
+        cell = azimuth * self.elevations + np.clip(elevation, 0, self.elevations - 1)
+        return np.asarray(self.free[:, :, cell] & sky.above[row])
+
     def count(self, arc_m: Array, lane: NDArray[np.int64], sky: SkyView) -> NDArray[np.int64]:
         """Count the satellites in line of sight above the mask angle at D places, for the first row of ``sky.index``.
 

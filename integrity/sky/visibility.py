@@ -34,7 +34,7 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City, Faces, material_table, permittivities
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["Reception", "SignalPath", "SkyMask", "cell_centres", "cells_of", "distinct_antennas"]
+__all__ = ["Reception", "SignalPath", "SkyMask", "antennas_along", "cell_centres", "cells_of", "distinct_antennas"]
 
 Array = NDArray[np.float64]
 RAY_HZ = 1575.42e6  # of the first band: which reflections are the strongest
@@ -152,7 +152,7 @@ class SkyMask:
         count = max(1, int(np.ceil(road.length_m / station_spacing_m)))
         spacing = road.length_m / count
         arc = spacing * np.arange(count if road.closed else count + 1, dtype=np.float64)
-        antenna = _antennas(road, arc, lane_count, antenna_height_m)
+        antenna = antennas_along(road, arc, lane_count, antenna_height_m)
         rows = np.arange(arc.size * lane_count).reshape(arc.size, lane_count)
         path, excess, faces = _cast(city, antenna.reshape(-1, 3), rows, azimuths, elevations)
         digest = cls.digest_of(road, city, station_spacing_m, lanes, antenna_height_m, az_step_deg, el_step_deg)
@@ -359,7 +359,7 @@ def _cast(
     return path[rows], excess[rows], Faces.of_triangles(city, found[rows], edge[rows])
 
 
-def _antennas(road: Road, arc_m: Array, lanes: int, height_m: float) -> Array:
+def antennas_along(road: Road, arc_m: Array, lanes: int, height_m: float) -> Array:
     """Antenna positions (N, L, 3) [m] at arcs (N,) above L lanes."""
     lateral = road.lane_lateral_m(np.arange(lanes))
     en, _ = road.pose_at(arc_m[:, None], lateral[None, :])

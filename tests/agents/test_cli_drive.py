@@ -115,6 +115,8 @@ def test_prints_tables():
         (["LaneKeeping", "--agent", "cruse"], "error: agent 'cruse' is unknown: did you mean 'cruise'?"),
         (["LaneKeeping", "--sky", "dence"], "error: sky must be one of"),
         (["LaneKeeping", "--faults", "stres"], "error: faults must be "),
+        (["LaneKeeping", *GIVEN, "--fault", "kind=spoof"], "error: options.faults.0.kind must be one of"),
+        (["LaneKeeping", "--fault", "spoofing"], "error: an override must read key=value, got 'spoofing'"),
         (["LaneKeeping", "--video", "film.avi"], "error: video must end in .mp4, got film.avi"),
         (["LaneKeeping", "--video", "film.mp4", "--fps", "3"], "error: fps must divide simulation_hz = 20, got 3"),
         (["LaneKeeping", "--video", f"{__file__}/a.mp4"], "error: video must be a file that can be written, got"),
@@ -131,6 +133,17 @@ def test_mistakes_are_answered_in_one_line(arguments, message):
     assert result.stderr.startswith(message)
     assert result.stderr.count("\n") == 1
     assert result.stdout == ""
+
+
+def test_faults_of_ones_own_strike_in_every_episode():
+    jamming = "kind=jamming,start_s=2,duration_s=9,magnitude_db=40"
+    result = run(
+        "LaneKeeping", "--sky", "open", "--set", "world.duration=3", "--fault", jamming, "--episodes", "2", "--json"
+    )
+    assert result.exit_code == 0, result.output
+    for episode in json.loads(result.stdout)["episodes"]:
+        assert 0.4 < episode["mode_shares"].pop("rtk") < 0.8
+        assert sum(episode["mode_shares"].values()) > 0.2
 
 
 @pytest.mark.parametrize(

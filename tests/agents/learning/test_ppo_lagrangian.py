@@ -16,6 +16,8 @@ from stable_baselines3.common.env_util import make_vec_env
 from lanebound.agents.learning.costs import EpisodeCosts, advantages
 from lanebound.agents.learning.multiplier import Multiplier, MultiplierConfig
 from lanebound.agents.learning.ppo_lagrangian import PPOLagrangian
+from lanebound.agents.learning.sac_lagrangian import SACLagrangian
+from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.integrity.core.errors import InputError
 
 SETTINGS: dict[str, Any] = {
@@ -169,7 +171,10 @@ def test_the_same_seed_learns_the_same(toll: type) -> None:
 def test_what_it_cannot_learn_from_is_refused(toll: type) -> None:
     free = gymnasium.make("CartPole-v1")
     with pytest.raises(InputError, match="info must hold 'cost'"):
-        PPOLagrangian("MlpPolicy", free, device="cpu", n_steps=16, batch_size=16).learn(16)
+        PPOLagrangian("MlpPolicy", free, cost_limit=1.0, device="cpu", n_steps=16, batch_size=16).learn(16)
+    for env in (free, make_vec_env("CartPole-v1", 2)):
+        with pytest.raises(InputError, match="cost_limit must be given"):
+            PPOLagrangian("MlpPolicy", env, device="cpu", n_steps=16, batch_size=16)
 
     class Groups(toll):  # type: ignore[misc,valid-type]
         def __init__(self) -> None:
@@ -177,4 +182,15 @@ def test_what_it_cannot_learn_from_is_refused(toll: type) -> None:
             self.observation_space = spaces.Dict({"ego": self.observation_space})
 
     with pytest.raises(InputError, match=r"observation\.form to flat"):
-        PPOLagrangian("MultiInputPolicy", Groups(), device="cpu")
+        PPOLagrangian("MultiInputPolicy", Groups(), cost_limit=1.0, device="cpu")
+
+
+def test_without_a_limit_that_of_the_environment_is_kept() -> None:
+    config = {"sky": "open", "observation": {"form": "flat"}, "cost_limit": 7.0}
+    env = gymnasium.make("lanebound/LaneKeeping-v0", config=config)
+    envs = [env, make_vec_env(lambda: gymnasium.make("lanebound/LaneKeeping-v0", config=config), 2)]
+    envs.append(EngineVecEnv("lanebound/LaneKeeping-v0", 2, config))
+    for one in envs:
+        for learner_of in (PPOLagrangian, SACLagrangian):
+            assert learner_of("MlpPolicy", one, device="cpu").constraints.limits == [7.0]
+        one.close()

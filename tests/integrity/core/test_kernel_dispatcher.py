@@ -106,10 +106,10 @@ def test_garbage_is_collected_as_before_after_a_compilation(fresh):
         gc.set_threshold(701, 11, 12)
         fresh().twice(np.float32(1.5))
         assert gc.get_threshold() == (701, 11, 12)
-        with kd._rare_collection():
+        with kd._compiling():
             assert gc.get_threshold() == (kd.COLLECTION, 11, 12)
         gc.set_threshold(0)
-        with kd._rare_collection():
+        with kd._compiling():
             assert gc.get_threshold()[0] == 0, "a program that collects nothing is left alone"
     finally:
         gc.set_threshold(*before)

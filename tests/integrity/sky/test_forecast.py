@@ -50,6 +50,15 @@ def test_places_count_what_the_mask_of_the_same_city_receives_directly() -> None
     assert len(set(found)) > 2
 
 
+def test_signals_in_sight_are_those_that_are_counted() -> None:
+    view, forecast = sky(2.0), SkyForecast.of_stations(antennas(), CITY, 10.0)
+    seen = forecast.in_sight(view)
+    for lane in (0, 1):
+        counted = forecast.count(10.0 * np.arange(11), np.full(11, lane), view)
+        np.testing.assert_array_equal(seen[:, lane].sum(-1), counted)
+    assert not (seen & ~view.above[1]).any()
+
+
 def test_an_open_sky_shows_all_above_the_mask_angle_and_a_tunnel_none() -> None:
     view, places = sky(), (np.array([0.0, 50.0]), np.array([0, 1]))
     np.testing.assert_array_equal(SkyForecast.open().count(*places, view), 2 * [view.above[1].sum()])

@@ -1,0 +1,400 @@
+"""Prediction of positioning before a journey (S2 section 3 and Figure 6): satellites, geometry, availability, levels.
+
+Streets are predicted from maps of their cities with errors, from the satellites at departure and from the speed limit
+alone. Then the whole navigator drives them, and what it receives and bounds is compared with the prediction.
+
+- Satellites: number in line of sight and PDOP, predicted and received, by the error of the map. A satellite is received
+  where its carrier is tracked, directly or not: the receiver does not know which.
+- Availability: the probability that a position is usable, from two models that know only the prediction. The first one
+  gives the probability of an RTK position from satellites and PDOP; the second one that of a usable position from the
+  satellites and the time since the first one was last above one half, at the speed limit: dead reckoning bridges gaps.
+  Both are fitted on training streets of all skies together, and judged on other streets.
+- Levels: quantiles of PL_CT of the training samples of similar probability, and how often levels of other streets lie
+  below them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
+from lanebound.agents.report.pages import Table
+from lanebound.agents.studies.splines import Basis, fit_logistic
+from lanebound.agents.studies.street_drives import (
+    AZIMUTH_STEP_DEG,
+    ELEVATION_STEP_DEG,
+    StreetDrivesConfig,
+    city_of,
+    drive_of,
+    mask_of,
+    navigator_of,
+    road_of,
+    work_streets,
+)
+from lanebound.agents.studies.study import Shown, stored
+from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_figure, save, tidy
+from lanebound.integrity.core.config import Field
+from lanebound.integrity.core.streams import named_generator
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sky.forecast import SkyForecast
+from lanebound.integrity.sky.prediction import pdop, predict_street
+from lanebound.integrity.sky.survey import MapConfig, as_mapped
+from lanebound.integrity.sky.visibility import SignalPath, antennas_along
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+ANTENNA_HEIGHT_M = 1.5
+SAMPLE_S = 1.0  # between samples of a vehicle
+FEWEST_FOR_RTK = 5  # satellites (S2 section 3)
+WORST_PDOP = 20.0  # in place of a larger one: no position
+NO_LEVEL_M = 1e4  # in place of a missing level
+LONGEST_GAP_S = 600.0  # since the sky was good, at the beginning of a street
+LIKELY = 0.5
+BINS, GROUPS = 5, 10  # of the reliability diagram; of probabilities whose levels are alike
+QUANTILES = (0.5, 0.9)
+RESAMPLES, CONFIDENCE = 2000, 0.95
+OTHERS = "direct", "codes"
+COLUMNS = ("station", "received", "direct", "codes", "pdop", "rtk", "usable", "pl_ct_m")
+
+
+class PredictionConfig(StreetDrivesConfig):
+    """Streets, and the maps by which they are predicted."""
+
+    skies: tuple[str, ...] = Field(
+        ("urban", "dense", "skies/plaza"), min_length=1, description="levels of sky, with their instruments"
+    )
+    seed: int = Field(201, ge=0, description="of streets, skies, instruments and drives")
+    vehicles: int = Field(8, ge=1, le=4096, description="vehicles in a street; they share its city and its satellites")
+    streets: int = Field(10, ge=1, description="streets of each sky for the fit, and as many others to be judged on")
+    map_sigmas_m: tuple[Annotated[float, Field(ge=0, le=20)], ...] = Field(
+        (0.5, 1.0, 2.5, 5.0), min_length=1, description="errors of heights in the maps, 1 sigma [m]; S2: 2 to 3 m"
+    )
+    map: MapConfig = Field(MapConfig(), description="the map of the prediction of availability and levels")
+
+    @property
+    def maps(self) -> tuple[MapConfig, ...]:
+        """The map of the prediction of availability, and those that differ in heights."""
+        return (self.map, *(self.map.replace(height_sigma_m=sigma) for sigma in self.map_sigmas_m))
+
+
+def run_prediction(
+    config: PredictionConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore
+) -> dict[str, Any]:
+    """Predict and drive the missing streets, and write ``results.json`` and figures; returns the results.
+
+    Raises
+    ------
+    InputError
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
+    """
+    found = work_streets(config, "prediction", 2 * config.streets, work_street, out, jobs, on_progress)
+    streets = {sky: [Street.of(part) for part in parts] for sky, parts in found.items()}
+    model = Model.fitted([street for each in streets.values() for street in each[: config.streets]])
+    unseen = {sky: each[config.streets :] for sky, each in streets.items()}
+    result: dict[str, Any] = {
+        "config": config.to_dict(),
+        "satellites": [
+            {"sky": sky, "sigma_m": sigma} | differences(each, 1 + k)
+            for sky, each in streets.items()
+            for k, sigma in enumerate(config.map_sigmas_m)
+        ],
+        "availability": [{"sky": sky} | judged(model, each) for sky, each in unseen.items()],
+        "reliability": reliability(model, [street for each in unseen.values() for street in each]),
+    }
+    save(figure_6({sky: each[0] for sky, each in unseen.items()}), out / "satellites.svg")
+    save(reliability_figure(result["reliability"]), out / "reliability.svg")
+    return stored(result, out)
+
+
+def work_street(config: PredictionConfig, sky: str, number: int, advance: Advance = ignore) -> dict[str, Any]:
+    """Predict a street by each map, and drive it; it does not depend on others."""
+    mask = mask_of(config, sky, number)
+    navigator = navigator_of(config, sky, number, mask)
+    predicted = _predictions(config, sky, number, mask.path.shape[0], navigator.track)
+    rows, every = [], round(SAMPLE_S / navigator.config.dt_s)
+    first, epochs = (round(time_s / navigator.config.dt_s) for time_s in (config.warm_up_s, config.span_s))
+    vehicles = np.arange(config.vehicles)
+    for k, truth in zip(range(epochs), drive_of(config, number, navigator.config.dt_s), strict=False):
+        measured = navigator.measure(truth)
+        solution = navigator.solve(measured)
+        if k >= first and (k - first) % every == 0:
+            received = measured.gnss.phase_m[..., 0] != 0.0  # carriers, which RTK needs
+            direct = mask.look(truth.arc_m, truth.lane, measured.sky).path == SignalPath.LOS
+            los, system = measured.sky.los_enu[measured.sky.index[0]], measured.sky.system
+            station = np.clip(np.round(truth.arc_m / mask.spacing_m), 0, mask.path.shape[0] - 1)
+            rows.append(np.column_stack([
+                station, received.sum(-1), (received & direct).sum(-1), measured.gnss.tracked.sum(-1),
+                np.minimum(pdop(los, system, received), WORST_PDOP), solution.mode == Mode.RTK,
+                solution.available & ~solution.alert, np.minimum(solution.pl_ct_m, NO_LEVEL_M), vehicles,
+            ]))  # fmt: skip
+        advance((k + 1) / epochs)
+    samples = np.concatenate(rows)
+    samples = samples[np.argsort(samples[:, -1], kind="stable"), :-1].T  # vehicle by vehicle, in the order of time
+    return {
+        "spacing_m": mask.spacing_m,
+        "speed_mps": config.drive.speed_limit_mps,
+        "predicted": predicted,
+        "samples": dict(zip(COLUMNS, np.round(samples, 3).tolist(), strict=True)),
+    }
+
+
+def _predictions(config: PredictionConfig, sky: str, number: int, stations: int, track: Any) -> list[dict[str, Any]]:
+    """Satellites and PDOP at the stations of a street at departure, by each map."""
+    road, city = road_of(config, number), city_of(config, sky, number)
+    arc = np.linspace(0.0, road.length_m, stations)
+    antennas = antennas_along(road, arc, road.lane_count, ANTENNA_HEIGHT_M)
+    departure = track.at(track.start_s)
+    found = []
+    for one in config.maps:
+        mapped = as_mapped(city, one, named_generator([config.seed, number], "map"))
+        cells = AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG
+        forecast = SkyForecast.of_stations(antennas, mapped, road.length_m / max(stations - 1, 1), *cells)
+        each = predict_street(forecast, departure)
+        found.append({
+            "satellites": each.satellites.tolist(), "pdop": np.round(np.minimum(each.pdop, WORST_PDOP), 3).tolist()
+        })  # fmt: skip
+    return found
+
+
+class Street(NamedTuple):
+    """A street as predicted by M maps at N stations, and K samples of its drives.
+
+    Attributes
+    ----------
+    spacing_m, speed_mps : distance of stations, speed of the plan
+    satellites, pdop : (M, N)
+    samples : by name of COLUMNS, (K,)
+    """
+
+    spacing_m: float
+    speed_mps: float
+    satellites: NDArray[np.int64]
+    pdop: Array
+    samples: dict[str, Array]
+
+    @classmethod
+    def of(cls, part: Mapping[str, Any]) -> Street:
+        """The street of a stored part."""
+        maps, samples = part["predicted"], {name: np.asarray(v, float) for name, v in part["samples"].items()}
+        numbers = np.array([one["satellites"] for one in maps])
+        return cls(part["spacing_m"], part["speed_mps"], numbers, np.array([one["pdop"] for one in maps]), samples)
+
+    @property
+    def station(self) -> NDArray[np.int64]:
+        """(K,) station of each sample."""
+        return self.samples["station"].astype(np.int64)
+
+
+def differences(streets: Sequence[Street], which: int) -> dict[str, float]:
+    """Received less predicted by one map, as S2 compares them: numbers of satellites and PDOP.
+
+    PDOPs are compared where both sets determine a position with a PDOP below ``WORST_PDOP``.
+    """
+    of = [(s.samples["received"] - s.satellites[which, s.station]) for s in streets]
+    number = np.concatenate(of)
+    direct, codes = (np.concatenate([s.samples[n] - s.satellites[which, s.station] for s in streets]) for n in OTHERS)
+    here = np.concatenate([s.samples["pdop"] for s in streets])
+    there = np.concatenate([s.pdop[which, s.station] for s in streets])
+    both = (here < WORST_PDOP) & (there < WORST_PDOP)
+    return {
+        "samples": number.size,
+        "mean": float(number.mean()),
+        "mean_abs": float(np.abs(number).mean()),
+        "mean_abs_direct": float(np.abs(direct).mean()),
+        "mean_codes": float(codes.mean()),
+        "low": float(np.quantile(number, 0.025)),
+        "high": float(np.quantile(number, 0.975)),
+        "pdop": float(np.abs(here - there)[both].mean()),
+        "pdop_median": float(np.median(np.abs(here - there)[both])),
+        "without": float(1.0 - both.mean()),
+    }
+
+
+class Model(NamedTuple):
+    """Probabilities of RTK and of a usable position, and quantiles of levels, from what is predicted of a street.
+
+    Attributes
+    ----------
+    fix, use : basis and coefficients of both models
+    edges : (GROUPS - 1,) probabilities between groups
+    levels : (GROUPS, Q) quantiles of PL_CT of each group [m]
+    """
+
+    fix: tuple[Basis, Array]
+    use: tuple[Basis, Array]
+    edges: Array
+    levels: Array
+
+    @classmethod
+    def fitted(cls, streets: Sequence[Street]) -> Model:
+        """The model of the samples of streets."""
+        columns = {name: np.concatenate([s.samples[name] for s in streets]) for name in ("rtk", "usable", "pl_ct_m")}
+        number, dilution = (np.concatenate([f(s)[s.station] for s in streets]) for f in (_number, _dilution))
+        fix = _fit(number, dilution, columns["rtk"] > 0.0)
+        gap = np.concatenate([_gap(fix, s)[s.station] for s in streets])
+        use = _fit(number, gap, columns["usable"] > 0.0)
+        probability = expit(use[0].at(number, gap) @ use[1])
+        edges = np.unique(np.quantile(probability, np.linspace(0.0, 1.0, GROUPS + 1)[1:-1], method="lower"))
+        edges = edges[edges < probability.max()]  # so that no group is empty
+        group = np.searchsorted(edges, probability)
+        levels = [np.quantile(columns["pl_ct_m"][group == g], QUANTILES) for g in range(edges.size + 1)]
+        return cls(fix, use, edges, np.array(levels))
+
+    def probability(self, street: Street) -> Array:
+        """Probability of a usable position at the stations of a street, (N,)."""
+        return np.asarray(expit(self.use[0].at(_number(street), _gap(self.fix, street)) @ self.use[1]))
+
+    def quantiles(self, street: Street) -> Array:
+        """Quantiles of PL_CT at the stations of a street, (N, Q) [m]."""
+        return np.asarray(self.levels[np.searchsorted(self.edges, self.probability(street))])
+
+
+def _number(street: Street) -> Array:
+    return np.asarray(street.satellites[0], dtype=np.float64)
+
+
+def _dilution(street: Street) -> Array:
+    return np.asarray(np.log(street.pdop[0]))
+
+
+def _gap(fix: tuple[Basis, Array], street: Street) -> Array:
+    """Logarithm of the time since an RTK position was likely, at the planned speed, (N,)."""
+    basis, coefficients = fix
+    likely = expit(basis.at(_number(street), _dilution(street)) @ coefficients) >= LIKELY
+    likely &= street.satellites[0] >= FEWEST_FOR_RTK
+    stations = np.arange(likely.size)
+    last = np.maximum.accumulate(np.where(likely, stations, -1))
+    seconds = np.where(last >= 0, (stations - last) * street.spacing_m / street.speed_mps, LONGEST_GAP_S)
+    return np.log1p(seconds)
+
+
+def _fit(x: Array, y: Array, happens: NDArray[np.bool_]) -> tuple[Basis, Array]:
+    basis = Basis(x, y)
+    return basis, fit_logistic(basis.at(x, y), happens)
+
+
+def judged(model: Model, streets: Sequence[Street]) -> dict[str, Any]:
+    """Brier score of the probabilities beside that of the share of these streets, and how often levels lie below.
+
+    The skill is ``1 - BS / BS_climate``; the climate knows the usable share of the judged streets, which no forecast
+    does. Its interval is by street.
+    """
+    said = [model.probability(s)[s.station] for s in streets]
+    was = [s.samples["usable"] for s in streets]
+    share = float(np.concatenate(was).mean())
+    squares = np.array(
+        [[((p - u) ** 2).sum(), ((share - u) ** 2).sum(), u.size] for p, u in zip(said, was, strict=True)]
+    )
+    chosen = named_generator(0, "resamples").integers(len(streets), size=(RESAMPLES, len(streets)))
+    again = squares[chosen].sum(1)
+    skill = 1.0 - again[:, 0] / again[:, 1]
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    levels = np.concatenate([model.quantiles(s)[s.station] for s in streets])
+    real = np.concatenate([s.samples["pl_ct_m"] for s in streets])
+    return {
+        "streets": len(streets),
+        "usable": share,
+        "predicted": float(np.concatenate(said).mean()),
+        "brier": float(squares[:, 0].sum() / squares[:, 2].sum()),
+        "skill": float(1.0 - squares[:, 0].sum() / squares[:, 1].sum()),
+        "skill_low": float(np.quantile(skill, tail)),
+        "skill_high": float(np.quantile(skill, 1.0 - tail)),
+        "below": [float((real <= levels[:, q]).mean()) for q in range(len(QUANTILES))],
+    }
+
+
+def reliability(model: Model, streets: Sequence[Street]) -> list[dict[str, float]]:
+    """Predicted probability and usable share of the samples in bins of equal width."""
+    said = np.concatenate([model.probability(s)[s.station] for s in streets])
+    was = np.concatenate([s.samples["usable"] for s in streets])
+    place = np.minimum((said * BINS).astype(np.int64), BINS - 1)
+    return [
+        {"predicted": float(said[own].mean()), "usable": float(was[own].mean()), "samples": int(own.sum())}
+        for b in range(BINS)
+        if (own := place == b).any()
+    ]
+
+
+def figure_6(streets: Mapping[str, Street]) -> Figure:
+    """Received less predicted along the drive of one vehicle, as S2 Figure 6: satellites and PDOP, a row a sky."""
+    figure = new_figure(7.5, 1.9 * len(streets) + 0.4)
+    axes = figure.subplots(len(streets), 2, squeeze=False)
+    for (sky, s), (left, right) in zip(streets.items(), axes, strict=True):
+        first = slice(0, 1 + int(np.argmax(np.diff(s.station, append=-1) < 0)))
+        number = (s.samples["received"] - s.satellites[0, s.station])[first]
+        left.step(np.arange(number.size) * SAMPLE_S, number, color=INK, lw=1.0)
+        here, there = s.samples["pdop"][first], s.pdop[0, s.station][first]
+        change = np.where((here < WORST_PDOP) & (there < WORST_PDOP), here - there, np.nan)
+        right.step(np.arange(change.size) * SAMPLE_S, change, color=PL_COLOUR, lw=1.0)
+        tidy(left, ylabel=f"{sky}\nsatellites [-]")
+        tidy(right, ylabel="PDOP [-]")
+    for one, title in zip(axes[0], ("received less predicted satellites", "received less predicted PDOP"), strict=True):
+        one.set_title(title, fontsize=9)
+    for one in axes[-1]:
+        one.set_xlabel("time [s]")
+    return figure
+
+
+def reliability_figure(bins: Sequence[Mapping[str, float]]) -> Figure:
+    """Usable share by predicted probability, streets that nothing was fitted on."""
+    figure = new_figure(4.2, 3.6)
+    axes = figure.subplots()
+    axes.plot([0.0, 1.0], [0.0, 1.0], "--", color=INK, lw=0.8, label="calibrated")
+    axes.plot(
+        [b["predicted"] for b in bins], [b["usable"] for b in bins], "o-", color=PL_COLOUR, label="unseen streets"
+    )
+    tidy(axes, xlabel="predicted probability [-]", ylabel="usable share [-]")
+    legend(axes)
+    return figure
+
+
+def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
+    """All tables."""
+    yield (
+        "Received less predicted, by the error of mapped heights (S2: 2 on average, within 5; PDOP 0.461)",
+        satellites(result),
+    )
+    yield "Availability on streets that nothing was fitted on; intervals of 95 % by street", availability(result)
+    yield (
+        "Reliability of the predicted probability",
+        (
+            ("predicted", "usable", "samples"),
+            [(f"{b['predicted']:.2f}", f"{b['usable']:.2f}", f"{b['samples']:,}") for b in result["reliability"]],
+        ),
+    )
+
+
+def satellites(result: Mapping[str, Any]) -> Table:
+    """Differences of satellites and PDOP, by sky and map."""
+    heads = ("sky", "map", "mean", "mean abs", "95 %", "direct, abs", "codes", "PDOP abs", "median", "no position")
+    return heads, [
+        (
+            d["sky"], f"{d['sigma_m']:g} m", f"{d['mean']:+.1f}", f"{d['mean_abs']:.1f}",
+            f"{d['low']:+.0f} .. {d['high']:+.0f}", f"{d['mean_abs_direct']:.1f}", f"{d['mean_codes']:+.1f}",
+            f"{d['pdop']:.2f}", f"{d['pdop_median']:.2f}", f"{100.0 * d['without']:.0f} %",
+        )
+        for d in result["satellites"]
+    ]  # fmt: skip
+
+
+def availability(result: Mapping[str, Any]) -> Table:
+    """Predicted and realised availability, Brier skill and coverage of the quantiles of PL_CT, by sky."""
+    below = [f"PL_CT below {100.0 * q:.0f} %" for q in QUANTILES]
+    heads = ("sky", "usable", "predicted", "Brier score", "skill", *below)
+    return heads, [
+        (
+            d["sky"], f"{100.0 * d['usable']:.1f} %", f"{100.0 * d['predicted']:.1f} %", f"{d['brier']:.3f}",
+            f"{d['skill']:.2f} ({d['skill_low']:.2f} .. {d['skill_high']:.2f})",
+            *(f"{100.0 * share:.0f} %" for share in d["below"]),
+        )
+        for d in result["availability"]
+    ]  # fmt: skip
