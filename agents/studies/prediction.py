@@ -21,11 +21,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.report.pages import Table
-from lanebound.agents.studies.splines import Basis, fit_logistic
 from lanebound.agents.studies.street_drives import (
     AZIMUTH_STEP_DEG,
     ELEVATION_STEP_DEG,
@@ -42,6 +40,14 @@ from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sky.availability import (
+    LONGEST_GAP_S,
+    WORST_PDOP,
+    AvailabilityModel,
+    Fit,
+    gaps_along,
+    likely,
+)
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.prediction import pdop, predict_street
 from lanebound.integrity.sky.survey import MapConfig, as_mapped
@@ -54,12 +60,8 @@ Array = NDArray[np.float64]
 
 ANTENNA_HEIGHT_M = 1.5
 SAMPLE_S = 1.0  # between samples of a vehicle
-FEWEST_FOR_RTK = 5  # satellites (S2 section 3)
-WORST_PDOP = 20.0  # in place of a larger one: no position
 NO_LEVEL_M = 1e4  # in place of a missing level
-LONGEST_GAP_S = 600.0  # since the sky was good, at the beginning of a street
-LIKELY = 0.5
-BINS, GROUPS = 5, 10  # of the reliability diagram; of probabilities whose levels are alike
+BINS = 5  # of the reliability diagram
 QUANTILES = (0.5, 0.9)
 RESAMPLES, CONFIDENCE = 2000, 0.95
 OTHERS = "direct", "codes"
@@ -98,7 +100,7 @@ def run_prediction(
     """
     found = work_streets(config, "prediction", 2 * config.streets, work_street, out, jobs, on_progress)
     streets = {sky: [Street.of(part) for part in parts] for sky, parts in found.items()}
-    model = Model.fitted([street for each in streets.values() for street in each[: config.streets]])
+    model = fitted([street for each in streets.values() for street in each[: config.streets]])
     unseen = {sky: each[config.streets :] for sky, each in streets.items()}
     result: dict[str, Any] = {
         "config": config.to_dict(),
@@ -219,76 +221,45 @@ def differences(streets: Sequence[Street], which: int) -> dict[str, float]:
     }
 
 
-class Model(NamedTuple):
-    """Probabilities of RTK and of a usable position, and quantiles of levels, from what is predicted of a street.
+def fitted(streets: Sequence[Street]) -> AvailabilityModel:
+    """The model of the samples of streets."""
+    names = "rtk", "usable", "pl_ct_m"
+    rtk, usable, levels = (np.concatenate([s.samples[name] for s in streets]) for name in names)
+    number, pdops = (np.concatenate([v(s)[s.station] for s in streets]) for v in (_number, _pdop))
 
-    Attributes
-    ----------
-    fix, use : basis and coefficients of both models
-    edges : (GROUPS - 1,) probabilities between groups
-    levels : (GROUPS, Q) quantiles of PL_CT of each group [m]
-    """
+    def gap_of(fix: Fit) -> Array:
+        return np.concatenate([gap_s(fix, s)[s.station] for s in streets])
 
-    fix: tuple[Basis, Array]
-    use: tuple[Basis, Array]
-    edges: Array
-    levels: Array
+    return AvailabilityModel.fitted(number, pdops, rtk > 0.0, usable > 0.0, levels, gap_of, QUANTILES)
 
-    @classmethod
-    def fitted(cls, streets: Sequence[Street]) -> Model:
-        """The model of the samples of streets."""
-        columns = {name: np.concatenate([s.samples[name] for s in streets]) for name in ("rtk", "usable", "pl_ct_m")}
-        number, dilution = (np.concatenate([f(s)[s.station] for s in streets]) for f in (_number, _dilution))
-        fix = _fit(number, dilution, columns["rtk"] > 0.0)
-        gap = np.concatenate([_gap(fix, s)[s.station] for s in streets])
-        use = _fit(number, gap, columns["usable"] > 0.0)
-        probability = expit(use[0].at(number, gap) @ use[1])
-        edges = np.unique(np.quantile(probability, np.linspace(0.0, 1.0, GROUPS + 1)[1:-1], method="lower"))
-        edges = edges[edges < probability.max()]  # so that no group is empty
-        group = np.searchsorted(edges, probability)
-        levels = [np.quantile(columns["pl_ct_m"][group == g], QUANTILES) for g in range(edges.size + 1)]
-        return cls(fix, use, edges, np.array(levels))
 
-    def probability(self, street: Street) -> Array:
-        """Probability of a usable position at the stations of a street, (N,)."""
-        return np.asarray(expit(self.use[0].at(_number(street), _gap(self.fix, street)) @ self.use[1]))
+def probability(model: AvailabilityModel, street: Street) -> Array:
+    """Probability of a usable position at the stations of a street, (N,)."""
+    return model.probability(_number(street), gap_s(model.fix, street))
 
-    def quantiles(self, street: Street) -> Array:
-        """Quantiles of PL_CT at the stations of a street, (N, Q) [m]."""
-        return np.asarray(self.levels[np.searchsorted(self.edges, self.probability(street))])
+
+def gap_s(fix: Fit, street: Street) -> Array:
+    """Time since an RTK position was likely, at the planned speed, (N,); the longest one before it first is."""
+    good = likely(fix, _number(street), _pdop(street))
+    at_s = np.arange(good.size) * street.spacing_m / street.speed_mps
+    return np.where(np.maximum.accumulate(good), gaps_along(good, at_s), LONGEST_GAP_S)
 
 
 def _number(street: Street) -> Array:
     return np.asarray(street.satellites[0], dtype=np.float64)
 
 
-def _dilution(street: Street) -> Array:
-    return np.asarray(np.log(street.pdop[0]))
+def _pdop(street: Street) -> Array:
+    return np.asarray(street.pdop[0])
 
 
-def _gap(fix: tuple[Basis, Array], street: Street) -> Array:
-    """Logarithm of the time since an RTK position was likely, at the planned speed, (N,)."""
-    basis, coefficients = fix
-    likely = expit(basis.at(_number(street), _dilution(street)) @ coefficients) >= LIKELY
-    likely &= street.satellites[0] >= FEWEST_FOR_RTK
-    stations = np.arange(likely.size)
-    last = np.maximum.accumulate(np.where(likely, stations, -1))
-    seconds = np.where(last >= 0, (stations - last) * street.spacing_m / street.speed_mps, LONGEST_GAP_S)
-    return np.log1p(seconds)
-
-
-def _fit(x: Array, y: Array, happens: NDArray[np.bool_]) -> tuple[Basis, Array]:
-    basis = Basis(x, y)
-    return basis, fit_logistic(basis.at(x, y), happens)
-
-
-def judged(model: Model, streets: Sequence[Street]) -> dict[str, Any]:
+def judged(model: AvailabilityModel, streets: Sequence[Street]) -> dict[str, Any]:
     """Brier score of the probabilities beside that of the share of these streets, and how often levels lie below.
 
     The skill is ``1 - BS / BS_climate``; the climate knows the usable share of the judged streets, which no forecast
     does. Its interval is by street.
     """
-    said = [model.probability(s)[s.station] for s in streets]
+    said = [probability(model, s)[s.station] for s in streets]
     was = [s.samples["usable"] for s in streets]
     share = float(np.concatenate(was).mean())
     squares = np.array(
@@ -298,7 +269,7 @@ def judged(model: Model, streets: Sequence[Street]) -> dict[str, Any]:
     again = squares[chosen].sum(1)
     skill = 1.0 - again[:, 0] / again[:, 1]
     tail = 0.5 * (1.0 - CONFIDENCE)
-    levels = np.concatenate([model.quantiles(s)[s.station] for s in streets])
+    levels = np.concatenate([model.quantiles(probability(model, s))[s.station] for s in streets])
     real = np.concatenate([s.samples["pl_ct_m"] for s in streets])
     return {
         "streets": len(streets),
@@ -312,9 +283,9 @@ def judged(model: Model, streets: Sequence[Street]) -> dict[str, Any]:
     }
 
 
-def reliability(model: Model, streets: Sequence[Street]) -> list[dict[str, float]]:
+def reliability(model: AvailabilityModel, streets: Sequence[Street]) -> list[dict[str, float]]:
     """Predicted probability and usable share of the samples in bins of equal width."""
-    said = np.concatenate([model.probability(s)[s.station] for s in streets])
+    said = np.concatenate([probability(model, s)[s.station] for s in streets])
     was = np.concatenate([s.samples["usable"] for s in streets])
     place = np.minimum((said * BINS).astype(np.int64), BINS - 1)
     return [

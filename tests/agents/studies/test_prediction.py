@@ -39,7 +39,7 @@ def test_differences_are_received_less_predicted() -> None:
 
 
 def test_probabilities_are_calibrated_and_better_than_the_climate_on_other_streets() -> None:
-    model = study.Model.fitted([made_up(seed) for seed in range(4)])
+    model = study.fitted([made_up(seed) for seed in range(4)])
     unseen = [made_up(seed) for seed in range(10, 16)]
     found = study.judged(model, unseen)
     assert found["skill_low"] > 0.2  # variance of the chance over that of the outcome: 1/3
@@ -51,11 +51,11 @@ def test_probabilities_are_calibrated_and_better_than_the_climate_on_other_stree
 
 
 def test_gaps_grow_at_the_planned_speed_since_rtk_was_likely() -> None:
-    model = study.Model.fitted([made_up(seed) for seed in range(4)])
+    model = study.fitted([made_up(seed) for seed in range(4)])
     street = made_up(20)
     number = np.full(200, 2)
     number[50] = 20
-    gap = np.expm1(study._gap(model.fix, street._replace(satellites=number[None])))
+    gap = study.gap_s(model.fix, street._replace(satellites=number[None]))
     assert gap[49] == study.LONGEST_GAP_S
     np.testing.assert_allclose(gap[50:53], [0.0, 0.5, 1.0])
 
