@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lanebound.agents.checkpointing.runner import Advance, ignore
-from lanebound.agents.studies.street_drives import HOUR_S, WEEK_S
 from lanebound.envs.sky import SkyLevel
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import named_generator
@@ -27,8 +26,13 @@ from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.campaign import FaultPriors, random_campaign
 from lanebound.integrity.sensors.faults import FaultSchedule
-from lanebound.integrity.sky.constellation import SkyConfig
-from lanebound.integrity.sky.journeys.streets import AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG, EdgeStations, lane_line
+from lanebound.integrity.sky.journeys.streets import (
+    AZIMUTH_STEP_DEG,
+    ELEVATION_STEP_DEG,
+    EdgeStations,
+    at_hour,
+    lane_line,
+)
 from lanebound.integrity.sky.maps.city import city_of
 from lanebound.integrity.sky.maps.generated import generated_map
 from lanebound.integrity.sky.maps.graph import StreetEdge, StreetGraph
@@ -41,7 +45,7 @@ from lanebound.integrity.sky.visibility import SkyMask
 Array = NDArray[np.float64]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.studies", "lanebound.envs.sky")  # that results depend on
-STATION_M = 5.0
+STATION_M = 8.0  # of the true sky; of the sky of environments 5 m
 CORNER_M = 10.0  # of the lane on both sides of a junction, in place of which there is a bend
 RADIUS_M = 12.0  # of bends, where there is room
 NO_LEVEL_M = 1e4  # in place of a missing level
@@ -62,7 +66,7 @@ class RouteDrivesConfig(Config):
     drive: DriveConfig = Field(DriveConfig(), description="accelerations; the speed limits are those of the streets")
 
 
-class TownConfig(NamedTuple):
+class Town(NamedTuple):
     """A city, its graph, its solids as they are and as they are mapped."""
 
     graph: StreetGraph
@@ -70,24 +74,19 @@ class TownConfig(NamedTuple):
     mapped: City
 
 
-def town_of(config: RouteDrivesConfig, seed: int) -> TownConfig:
+def town_of(config: RouteDrivesConfig, seed: int) -> Town:
     """The generated city of a seed; the map is a draw of its own."""
     streets = generated_map(seed)
     city, level = city_of(streets), SkyLevel.named(config.sky)
     city = replace(city, material=clad(city.building, level.material_shares, named_generator(seed, "facades")))
     mapped = as_mapped(city, config.map, named_generator([config.seed, seed], "map"))
-    return TownConfig(StreetGraph.of(streets), city, mapped)
-
-
-def sky_at(base: SkyConfig, hour: float) -> SkyConfig:
-    """The satellites at an hour after the start of a configuration."""
-    return base.replace(week_second_s=(base.week_second_s + HOUR_S * hour) % WEEK_S)
+    return Town(StreetGraph.of(streets), city, mapped)
 
 
 def navigator_config(config: RouteDrivesConfig, hour: float) -> NavigatorConfig:
-    """The navigator with the instruments of the sky, at an hour."""
+    """The navigator with the instruments of the sky, at an hour of the day."""
     base = SkyLevel.named(config.sky).navigator(config.navigator)
-    return base.replace(sky=sky_at(base.sky, hour).to_dict())
+    return base.replace(sky=at_hour(base.sky, hour).to_dict())
 
 
 class Leg(NamedTuple):
@@ -127,7 +126,7 @@ class Driven(NamedTuple):
 
 
 def drive_legs(
-    config: RouteDrivesConfig, town: TownConfig, legs: Sequence[Leg], hour: float, seeds: Sequence[int],
+    config: RouteDrivesConfig, town: Town, legs: Sequence[Leg], hour: float, seeds: Sequence[int],
     advance: Advance = ignore,
 ) -> list[Driven]:  # fmt: skip
     """Drive legs under the true city at an hour, a vehicle each.

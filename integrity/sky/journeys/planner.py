@@ -22,7 +22,7 @@ from lanebound.integrity.sky.journeys.streets import EdgeStations
 from lanebound.integrity.sky.maps.graph import StreetGraph
 from lanebound.integrity.sky.prediction import StreetPrediction
 
-__all__ = ["Place", "Planner", "Route", "StreetsAhead", "energy_kwh", "place_on"]
+__all__ = ["Planner", "Route", "StreetPlace", "StreetsAhead", "energy_kwh", "place_on"]
 
 Array = NDArray[np.float64]
 
@@ -44,14 +44,14 @@ def energy_kwh(length_m: ArrayLike, speed_mps: ArrayLike) -> Array:
     return np.asarray(np.asarray(length_m) * force / (DRIVELINE * JOULES))
 
 
-class Place(NamedTuple):
+class StreetPlace(NamedTuple):
     """Where a journey begins or ends: the pieces of the street there, one for each direction, and the share of each."""
 
     edges: tuple[int, ...]
     shares: tuple[float, ...]
 
 
-def place_on(graph: StreetGraph, place_en_m: ArrayLike, name: str = "place") -> Place:
+def place_on(graph: StreetGraph, place_en_m: ArrayLike, name: str = "place") -> StreetPlace:
     """The nearest place on a street of the connected part of a map, (2,) [m].
 
     Raises
@@ -68,7 +68,7 @@ def place_on(graph: StreetGraph, place_en_m: ArrayLike, name: str = "place") -> 
             f"{name} must lie within {FARTHEST_M:g} m of a street of the map, got {away:.0f} m: outside of the map"
         )
     both = [nearest, *(k for k in known if graph.edges[nearest].turns_back(graph.edges[k]))]
-    return Place(tuple(both), (share, *(1.0 - share for _ in both[1:])))
+    return StreetPlace(tuple(both), (share, *(1.0 - share for _ in both[1:])))
 
 
 def _foot(line: Array, place: Array) -> tuple[float, float]:
@@ -147,6 +147,34 @@ class StreetsAhead:
         total = float(left[0]) if rows.size else 0.0
         return float(left[found[-1]] - 0.5 * self.stations.part_s[rows[found[-1]]]) if found.size else begin_s + total
 
+    def rows(self, edge: int, begin: float, end: float) -> NDArray[np.int64]:
+        """Stations of a part of an edge, between two shares of it."""
+        own = self.stations.of(edge)
+        count = own.stop - own.start
+        middle = (np.arange(count) + 0.5) / count
+        return np.asarray(own.start + np.flatnonzero((middle >= begin) & (middle <= end)))
+
+    def described(self, edges: tuple[int, ...], begin: float, end: float) -> Route:
+        """A route with what is predicted of it, along its own gaps; the vehicle knows its place at the begin."""
+        parts = [(begin if i == 0 else 0.0, end if i == len(edges) - 1 else 1.0) for i in range(len(edges))]
+        rows = np.concatenate([self.rows(k, *part) for k, part in zip(edges, parts, strict=True)])
+        if not rows.size:
+            rows = np.arange(self.stations.first[edges[0]], self.stations.first[edges[0]] + 1)
+        streets = [self.graph.edges[k] for k in edges]
+        length = np.array([(b - a) * one.length_m for (a, b), one in zip(parts, streets, strict=True)])
+        speed = np.array([one.way.speed_limit_mps for one in streets])
+        chance = self.probability(rows, 0.0)
+        weight = self.stations.part_s[rows] / self.stations.part_s[rows].sum()
+        time_s = float((length / speed).sum())
+        return Route(
+            edges, begin, end, float(length.sum()), time_s, time_s * float(((1.0 - chance) * weight).sum()),
+            _levels(self.model.quantiles(chance), weight), float(energy_kwh(length, speed).sum()),
+        )  # fmt: skip
+
+    def described_as(self, route: Route) -> Route:
+        """The same way with what is predicted of it here."""
+        return self.described(route.edges, route.begin, route.end)
+
     @cached_property
     def by_class(self) -> tuple[Array, NDArray[np.int64]]:
         """Expected time without a position [s] and class of the gap at the end, by edge and class, (E, G) each."""
@@ -197,7 +225,7 @@ class Planner:
         They are the same place, or no way leads from one to the other.
     """
 
-    def __init__(self, ahead: StreetsAhead, origin: Place, destination: Place) -> None:
+    def __init__(self, ahead: StreetsAhead, origin: StreetPlace, destination: StreetPlace) -> None:
         self.ahead, self.origin, self.destination = ahead, origin, destination
         if _same(ahead.graph, origin, destination):
             raise InputError("--from and --to must differ, got the same place of a street: choose two places")
@@ -222,7 +250,7 @@ class Planner:
         self._source, self._end = count + len(self.origin.edges), count + len(self.origin.edges) + 1
         for i, (edge, share) in enumerate(zip(self.origin.edges, self.origin.shares, strict=True)):
             arcs[self._source].append(_Arc(count + i, *self._part(edge, share, 1.0, 0.0)))
-            starts.append((count + i, edge, self.ahead.exit_gap_s(self._rows(edge, share, 1.0), 0.0)))
+            starts.append((count + i, edge, self.ahead.exit_gap_s(self.ahead.rows(edge, share, 1.0), 0.0)))
             if edge in goals and goals[edge] > share:
                 arcs[self._source].append(_Arc(self._end, *self._part(edge, share, goals[edge], 0.0)))
         leaving = [(k * classes + g, k, int(leaves[k, g])) for k in range(len(edges)) for g in range(classes)]
@@ -233,16 +261,9 @@ class Planner:
                     arcs[node].append(_Arc(self._end, *self._part(b, 0.0, goals[b], GAPS_S[into])))
         return arcs
 
-    def _rows(self, edge: int, begin: float, end: float) -> NDArray[np.int64]:
-        """Stations of a part of an edge."""
-        own = self.ahead.stations.of(edge)
-        count = own.stop - own.start
-        middle = (np.arange(count) + 0.5) / count
-        return np.asarray(own.start + np.flatnonzero((middle >= begin) & (middle <= end)))
-
     def _part(self, edge: int, begin: float, end: float, gap_s: float) -> tuple[float, float, float]:
         """Criteria of a part of an edge."""
-        rows = self._rows(edge, begin, end)
+        rows = self.ahead.rows(edge, begin, end)
         street = self.ahead.graph.edges[edge]
         length = (end - begin) * street.length_m
         time_s = length / street.way.speed_limit_mps
@@ -333,34 +354,16 @@ class Planner:
                 for e, s in zip(self.origin.edges, self.origin.shares, strict=True)
                 if e in goals and goals[e] > s
             )
-            return self.described((edge,), share, goals[edge])
+            return self.ahead.described((edge,), share, goals[edge])
         begin = inner[0] - count
         edges = [self.origin.edges[begin], *(node // classes for node in inner[1:])]
         last = self._last(edges[-1])
-        return self.described((*edges, last[0]), self.origin.shares[begin], last[1])
+        return self.ahead.described((*edges, last[0]), self.origin.shares[begin], last[1])
 
     def _last(self, before: int) -> tuple[int, float]:
         """The edge of the destination that follows another, and its share."""
         onward = {b for a, b in self.ahead.graph.turns if a == before}
         return next((e, s) for e, s in zip(self.destination.edges, self.destination.shares, strict=True) if e in onward)
-
-    def described(self, edges: tuple[int, ...], begin: float, end: float) -> Route:
-        """A route with what is predicted of it, along its own gaps; the vehicle knows its place at the begin."""
-        ahead, stations = self.ahead, self.ahead.stations
-        parts = [(begin if i == 0 else 0.0, end if i == len(edges) - 1 else 1.0) for i in range(len(edges))]
-        rows = np.concatenate([self._rows(k, *part) for k, part in zip(edges, parts, strict=True)])
-        if not rows.size:
-            rows = np.arange(stations.first[edges[0]], stations.first[edges[0]] + 1)
-        streets = [ahead.graph.edges[k] for k in edges]
-        length = np.array([(b - a) * one.length_m for (a, b), one in zip(parts, streets, strict=True)])
-        speed = np.array([one.way.speed_limit_mps for one in streets])
-        chance = ahead.probability(rows, 0.0)
-        weight = stations.part_s[rows] / stations.part_s[rows].sum()
-        time_s = float((length / speed).sum())
-        return Route(
-            edges, begin, end, float(length.sum()), time_s, time_s * float(((1.0 - chance) * weight).sum()),
-            _levels(ahead.model.quantiles(chance), weight), float(energy_kwh(length, speed).sum()),
-        )  # fmt: skip
 
 
 def _levels(quantiles: Array, weight: Array) -> tuple[float, float]:
@@ -373,7 +376,7 @@ def _levels(quantiles: Array, weight: Array) -> tuple[float, float]:
     return float(middle), float(high)
 
 
-def _same(graph: StreetGraph, origin: Place, destination: Place) -> bool:
+def _same(graph: StreetGraph, origin: StreetPlace, destination: StreetPlace) -> bool:
     """Whether two places are less than a metre of one street apart."""
     return origin.edges[0] in destination.edges and (
         abs(origin.shares[0] - destination.shares[destination.edges.index(origin.edges[0])])

@@ -10,20 +10,43 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.core.errors import require_in_range
+from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.maps.graph import StreetEdge
 from lanebound.integrity.sky.prediction import StreetPrediction, predict_street
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["ANTENNA_HEIGHT_M", "AZIMUTH_STEP_DEG", "ELEVATION_STEP_DEG", "EdgeStations", "SkyAlong", "lane_line"]
+__all__ = [
+    "ANTENNA_HEIGHT_M",
+    "AZIMUTH_STEP_DEG",
+    "ELEVATION_STEP_DEG",
+    "EdgeStations",
+    "SkyAlong",
+    "at_hour",
+    "lane_line",
+]
 
 Array = NDArray[np.float64]
 
 ANTENNA_HEIGHT_M = 1.5
+HOUR_S, DAY_S = 3600.0, 86_400.0
 LANE_WIDTH_M = 3.25  # where the map says nothing, as of worlds
 SPACING_M = 10.0  # of stations: 1 Hz at 36 km/h; S2 asks for 2 to 10 Hz, and a station nearer than 10 m differs little
 AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG = 4.0, 3.0  # as in the environments
+
+
+def at_hour(sky: SkyConfig, hour: float) -> SkyConfig:
+    """The satellites at an hour of the day of a configuration, in GPS time: UTC to within some seconds.
+
+    Raises
+    ------
+    InputError
+        The hour is not in [0, 24).
+    """
+    require_in_range("hour", hour, 0.0, 24.0, high_open=True)
+    return sky.replace(week_second_s=sky.week_second_s // DAY_S * DAY_S + HOUR_S * hour)
 
 
 def lane_line(edge: StreetEdge) -> Array:
