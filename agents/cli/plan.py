@@ -11,6 +11,7 @@ from lanebound.agents.cli.options import AsJson
 from lanebound.agents.cli.output import print_json, print_table, resumable, wait_for
 
 PLAN, PICTURE = "plan.json", "plan.png"
+NO_LEVEL_M = 1e4  # from which on a level stands for none
 
 
 def plan(
@@ -22,10 +23,10 @@ def plan(
     depart: Annotated[float, typer.Option(metavar="HOUR", help="Hour of departure, GPS time (UTC).")] = 12.0,
     weight: Annotated[
         float, typer.Option(min=0.0, help="Seconds of time that a second without a usable position counts as.")
-    ] = 5.0,
+    ] = 3.0,
     most_unusable: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share without a position of the chance-constrained route.")
-    ] = 0.05,
+    ] = 0.25,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for {PICTURE} and {PLAN}.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -53,8 +54,8 @@ def plan(
     heads = ("route", "time s", "length m", "unusable s", "share", "PL_CT median m", "90 % m", "energy kWh")
     rows = [
         (
-            title, f"{r.time_s:.0f}", f"{r.length_m:.0f}", f"{r.unusable_s:.1f}", f"{100.0 * r.unusable_share:.1f} %",
-            f"{r.level_m[0]:.2f}", f"{r.level_m[1]:.2f}", f"{r.energy_kwh:.3f}",
+            title, f"{r.time_s:.0f}", f"{r.length_m:.0f}", f"{r.unusable_s:.1f}", f"{r.unusable_share:.2f}",
+            *map(_level, r.level_m), f"{r.energy_kwh:.3f}",
         )
         for title, r in journey.routes.items()
     ]  # fmt: skip
@@ -64,3 +65,7 @@ def plan(
     typer.echo(f"Best hour of departure: {journey.best_hour} h")
     for path in written:
         typer.echo(str(path))
+
+
+def _level(level_m: float) -> str:
+    return f"{level_m:.2f}" if level_m < NO_LEVEL_M else "none"

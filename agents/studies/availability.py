@@ -30,6 +30,7 @@ from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.availability import WORST_PDOP, AvailabilityModel, Fit, gaps_along, likely
 from lanebound.integrity.sky.journeys.streets import EdgeStations, SkyAlong
 from lanebound.integrity.sky.maps.generated import map_seed
+from lanebound.integrity.sky.maps.graph import StreetGraph
 from lanebound.integrity.sky.track import SkyTrack
 
 Array = NDArray[np.float64]
@@ -93,17 +94,17 @@ def work_city(config: AvailabilityConfig, name: str, advance: Advance = ignore) 
     seen = SkyAlong.of(stations, town.mapped).at(track.at(track.start_s))
     seeds = [int(seed) for seed in rng.integers(2**32, size=config.vehicles + 1)]
     driven = drive_legs(config, town, legs, hour, seeds, advance)
-    return [_record(leg, one, stations, seen) for leg, one in zip(legs, driven, strict=True)]
+    return [_record(leg, one, town.graph, stations, seen) for leg, one in zip(legs, driven, strict=True)]
 
 
-def _record(leg: Leg, driven: Driven, stations: EdgeStations, seen: Any) -> dict[str, Any]:
+def _record(leg: Leg, driven: Driven, graph: StreetGraph, stations: EdgeStations, seen: Any) -> dict[str, Any]:
     """What was predicted along a way, and what its vehicle met each second."""
-    rows = np.concatenate([np.arange(stations.first[k], stations.first[k + 1]) for k in leg.edges])
+    rows, part_s = stations.of_way(graph, leg.edges)
     every = slice(None, None, max(1, round(SAMPLE_S / driven.dt_s)))
     return {
         "satellites": seen.satellites[rows].tolist(),
         "pdop": np.round(np.minimum(seen.pdop[rows], WORST_PDOP), 3).tolist(),
-        "part_s": np.round(stations.part_s[rows], 4).tolist(),
+        "part_s": np.round(part_s, 4).tolist(),
         "station": cKDTree(stations.place_en_m[rows]).query(driven.place_en_m[every])[1].tolist(),
         "rtk": driven.rtk[every].astype(int).tolist(),
         "usable": driven.usable[every].astype(int).tolist(),

@@ -29,6 +29,7 @@ from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.sky.journeys.streets import (
     AZIMUTH_STEP_DEG,
     ELEVATION_STEP_DEG,
+    TURN_M,
     EdgeStations,
     at_hour,
     lane_line,
@@ -46,8 +47,6 @@ Array = NDArray[np.float64]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.studies", "lanebound.envs.sky")  # that results depend on
 STATION_M = 8.0  # of the true sky; of the sky of environments 5 m
-CORNER_M = 10.0  # of the lane on both sides of a junction, in place of which there is a bend
-RADIUS_M = 12.0  # of bends, where there is room
 NO_LEVEL_M = 1e4  # in place of a missing level
 
 
@@ -184,7 +183,7 @@ class _Way(NamedTuple):
         drive: DriveConfig, dt_s: float,
     ) -> _Way:  # fmt: skip
         """The motion along edges."""
-        road = Road.through(_lane_along(edges, leg), corner_radius_m=RADIUS_M)
+        road = Road.through(_lane_along(edges, leg), corner_radius_m=np.inf)
         near = cKDTree(stations.place_en_m[rows])
         limit = stations.speed_mps[rows][near.query(road.vertices_en_m)[1]]
         speed = _profile(road, limit, drive)
@@ -204,7 +203,7 @@ def _lane_along(edges: Sequence[StreetEdge], leg: Leg) -> Array:
     for k, edge in enumerate(edges):
         line = lane_line(edge)
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        corner = min(CORNER_M, 0.3 * arc[-1])
+        corner = min(TURN_M, 0.3 * arc[-1])
         begin = leg.begin * arc[-1] if k == 0 else corner
         end = leg.end * arc[-1] if k == len(edges) - 1 else arc[-1] - corner
         at = np.array([begin, *arc[(arc > begin + 1.0) & (arc < end - 1.0)], max(end, begin + 1.0)])

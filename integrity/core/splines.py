@@ -36,7 +36,9 @@ class Basis:
     @classmethod
     def of(cls, x: Array, y: Array) -> Self:
         """The basis with these knots."""
-        return cls(x, y, (x.size, y.size))
+        basis = cls.__new__(cls)
+        basis.x, basis.y = x, y
+        return basis
 
     def at(self, x: Array, y: Array) -> Array:
         """The columns (n, k) of samples."""

@@ -11,6 +11,7 @@ import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import InputError, require_in_range
 from lanebound.integrity.sky.availability import LONGEST_GAP_S, WORST_PDOP, AvailabilityModel, gaps_along, likely
-from lanebound.integrity.sky.journeys.streets import EdgeStations
+from lanebound.integrity.sky.journeys.streets import ACCELERATION_MPS2, BRAKING_MPS2, EdgeStations, turn_s
 from lanebound.integrity.sky.maps.graph import StreetGraph
 from lanebound.integrity.sky.prediction import StreetPrediction
 
@@ -26,9 +27,9 @@ __all__ = ["Planner", "Route", "StreetPlace", "StreetsAhead", "energy_kwh", "pla
 
 Array = NDArray[np.float64]
 
-GAPS_S = (0.0, 2.0, 5.0, 12.0, 30.0, 80.0, 200.0, LONGEST_GAP_S)  # classes with which a street is entered; chosen
-WEIGHT = 5.0  # seconds of time that a second without a usable position counts as; chosen
-MOST_UNUSABLE = 0.05  # share of the time; chosen
+GAPS_S = (0.0, 1.0, 2.5, 5.0, 8.0, 12.0, 18.0, 28.0, 45.0, 80.0, 160.0, LONGEST_GAP_S)  # of classes; chosen
+WEIGHT = 3.0  # seconds of time that a second without a usable position counts as; chosen
+MOST_UNUSABLE = 0.25  # share of the time; chosen: of training cities all streets have 0.5, the best ones 0.12
 STEP_S = 0.25  # by which routes of a Pareto front differ at least in the time without a position; chosen
 FARTHEST_M = 200.0  # of a place from the nearest street
 LEVEL_SHARES = 0.5, 0.9
@@ -89,7 +90,8 @@ class Route:
     ----------
     edges : in order
     begin, end : shares of the first edge where it begins and of the last one where it ends
-    length_m, time_s : at the speed limits
+    length_m
+    time_s : at the speed limits, with starting, turning and stopping
     unusable_s : expected time without a usable position
     level_m : (2,) median and 90 % quantile of PL_CT over its time
     energy_kwh : :func:`energy_kwh`
@@ -147,25 +149,22 @@ class StreetsAhead:
         total = float(left[0]) if rows.size else 0.0
         return float(left[found[-1]] - 0.5 * self.stations.part_s[rows[found[-1]]]) if found.size else begin_s + total
 
-    def rows(self, edge: int, begin: float, end: float) -> NDArray[np.int64]:
-        """Stations of a part of an edge, between two shares of it."""
-        own = self.stations.of(edge)
-        count = own.stop - own.start
-        middle = (np.arange(count) + 0.5) / count
-        return np.asarray(own.start + np.flatnonzero((middle >= begin) & (middle <= end)))
-
     def described(self, edges: tuple[int, ...], begin: float, end: float) -> Route:
         """A route with what is predicted of it, along its own gaps; the vehicle knows its place at the begin."""
-        parts = [(begin if i == 0 else 0.0, end if i == len(edges) - 1 else 1.0) for i in range(len(edges))]
-        rows = np.concatenate([self.rows(k, *part) for k, part in zip(edges, parts, strict=True)])
-        if not rows.size:
-            rows = np.arange(self.stations.first[edges[0]], self.stations.first[edges[0]] + 1)
+        rows, part_s = self.stations.of_way(self.graph, edges, begin, end)
+        if not rows.size:  # shorter than a part of a street
+            rows = self.stations.first[list(edges[:1])]
+            part_s = self.stations.part_s[rows]
+        shares = [(begin if i == 0 else 0.0, end if i == len(edges) - 1 else 1.0) for i in range(len(edges))]
         streets = [self.graph.edges[k] for k in edges]
-        length = np.array([(b - a) * one.length_m for (a, b), one in zip(parts, streets, strict=True)])
+        length = np.array([(b - a) * one.length_m for (a, b), one in zip(shares, streets, strict=True)])
         speed = np.array([one.way.speed_limit_mps for one in streets])
-        chance = self.probability(rows, 0.0)
-        weight = self.stations.part_s[rows] / self.stations.part_s[rows].sum()
-        time_s = float((length / speed).sum())
+        gap = gaps_along(self.good[rows], np.cumsum(part_s) - 0.5 * part_s, 0.0)
+        chance = self.model.probability(self.satellites[rows], gap)
+        weight = part_s / part_s.sum()
+        turns = sum(turn_s(a, b) for a, b in pairwise(streets))
+        stops = 0.5 * speed[0] / ACCELERATION_MPS2 + 0.5 * speed[-1] / BRAKING_MPS2
+        time_s = float((length / speed).sum() + turns + stops)
         return Route(
             edges, begin, end, float(length.sum()), time_s, time_s * float(((1.0 - chance) * weight).sum()),
             _levels(self.model.quantiles(chance), weight), float(energy_kwh(length, speed).sum()),
@@ -244,26 +243,31 @@ class Planner:
         arcs: list[list[_Arc]] = [[] for _ in range(count + len(self.origin.edges) + 2)]
         goals = dict(zip(self.destination.edges, self.destination.shares, strict=True))
         starts: list[tuple[int, int, float]] = []  # a node, the edge that it leaves, the gap there
-        onward: dict[int, list[int]] = {}
+        onward: dict[int, list[tuple[int, float]]] = {}
         for a, b in self.ahead.graph.turns:
-            onward.setdefault(a, []).append(b)
+            onward.setdefault(a, []).append((b, turn_s(edges[a], edges[b])))
+        first = self.ahead.satellites[self.ahead.stations.first[:-1]]
+        risk = 1.0 - np.stack([self.ahead.model.probability(first, np.full(first.size, gap)) for gap in GAPS_S], 1)
         self._source, self._end = count + len(self.origin.edges), count + len(self.origin.edges) + 1
         for i, (edge, share) in enumerate(zip(self.origin.edges, self.origin.shares, strict=True)):
             arcs[self._source].append(_Arc(count + i, *self._part(edge, share, 1.0, 0.0)))
-            starts.append((count + i, edge, self.ahead.exit_gap_s(self.ahead.rows(edge, share, 1.0), 0.0)))
+            starts.append((count + i, edge, self.ahead.exit_gap_s(self.ahead.stations.rows(edge, share, 1.0), 0.0)))
             if edge in goals and goals[edge] > share:
                 arcs[self._source].append(_Arc(self._end, *self._part(edge, share, goals[edge], 0.0)))
         leaving = [(k * classes + g, k, int(leaves[k, g])) for k in range(len(edges)) for g in range(classes)]
         for node, edge, into in [*((n, k, _class(gap)) for n, k, gap in starts), *leaving]:
-            for b in onward.get(edge, ()):
-                arcs[node].append(_Arc(b * classes + into, float(length[b]), float(time_s[b]), float(lost[b, into])))
+            for b, turn in onward.get(edge, ()):
+                more = turn * float(risk[b, into])
+                whole = float(length[b]), turn + float(time_s[b]), more + float(lost[b, into])
+                arcs[node].append(_Arc(b * classes + into, *whole))
                 if b in goals:
-                    arcs[node].append(_Arc(self._end, *self._part(b, 0.0, goals[b], GAPS_S[into])))
+                    along_m, along_s, lost_s = self._part(b, 0.0, goals[b], GAPS_S[into])
+                    arcs[node].append(_Arc(self._end, along_m, turn + along_s, more + lost_s))
         return arcs
 
     def _part(self, edge: int, begin: float, end: float, gap_s: float) -> tuple[float, float, float]:
         """Criteria of a part of an edge."""
-        rows = self.ahead.rows(edge, begin, end)
+        rows = self.ahead.stations.rows(edge, begin, end)
         street = self.ahead.graph.edges[edge]
         length = (end - begin) * street.length_m
         time_s = length / street.way.speed_limit_mps
@@ -305,7 +309,11 @@ class Planner:
         return self._best((0.0, 1.0, weight))
 
     def bounded(self, most_unusable: float = MOST_UNUSABLE) -> Route:
-        """The fastest route whose expected share without a usable position is bounded; else that of the least share."""
+        """The fastest route of the front whose expected share without a usable position is bounded.
+
+        If there is none, that of the least share. Routes beside the front are no choice: they have a smaller share only
+        because they take longer.
+        """
         require_in_range("most_unusable", most_unusable, 0.0, 1.0)
         front = self.front()
         good = [route for route in front if route.unusable_share <= most_unusable]
