@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import assess, bench, benchmark, drive, learn, listing, recorded, reproduce, street_map
+from lanebound.agents.cli import assess, bench, benchmark, drive, learn, listing, plan, recorded, reproduce, street_map
 from lanebound.agents.cli.advice import AdvisingGroup
 
 EXAMPLES = """
@@ -44,6 +44,8 @@ EXAMPLES = """
 
   lanebound map berlin.osm.pbf --out out/map   read a street map for UrbanCanyon
 
+  lanebound plan generated:0 --from 35.664,139.789 --to 35.668,139.795   choose a route by its integrity
+
   lanebound fit-imu static.csv                 fit the warm-up error of accelerometers
 
   lanebound bench --json                       measure speed
@@ -71,6 +73,7 @@ for command in (
 ):  # fmt: skip
     app.command()(command)
 app.command("map")(street_map.street_map)
+app.command("plan")(plan.plan)
 
 
 def _show_version(wanted: bool) -> None:

@@ -146,3 +146,42 @@ def prediction(
     config = PredictionConfig.load(changes(assignments, streets=streets))
     result = carry_out(out, "part", lambda report: run_prediction(config, out, jobs, report))
     show(result, shown(result), as_json, f"results.json and figures: {out}")
+
+
+@app.command("availability")
+def availability(
+    out: Annotated[Path, typer.Option(help="Folder for availability.json; a run is resumed there.")],
+    cities: Annotated[int | None, typer.Option(min=1, help="Training cities; the packaged model has 10.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fit the model of availability by which journeys are planned; configs/maps/availability.json is its output.
+
+    Example: lanebound reproduce availability --out out/availability --cities 2
+    """
+    from lanebound.agents.studies.availability import AvailabilityConfig, run_availability, shown
+
+    config = AvailabilityConfig.load(changes(assignments, cities=cities))
+    result = carry_out(out, "part", lambda report: run_availability(config, out, jobs, report))
+    show(result, shown(result), as_json, f"availability.json: {out}")
+
+
+@app.command("journeys")
+def journeys(
+    out: Annotated[Path, typer.Option(help="Folder for results.json and the figure; a run is resumed there.")],
+    cities: Annotated[int | None, typer.Option(min=1, max=100, help="Test cities; the study has 20.")] = None,
+    pairs: Annotated[int | None, typer.Option(min=1, help="Journeys in each; the study has 10.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Routes chosen by length, time and predicted integrity in unseen cities, driven by the whole navigator.
+
+    Example: lanebound reproduce journeys --out out/journeys --cities 2 --pairs 3
+    """
+    from lanebound.agents.studies.journeys import JourneysConfig, run_journeys, shown
+
+    config = JourneysConfig.load(changes(assignments, cities=cities, pairs=pairs))
+    result = carry_out(out, "part", lambda report: run_journeys(config, out, jobs, report))
+    show(result, shown(result), as_json, f"results.json and figure: {out}")

@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.report.pages import Table
-from lanebound.agents.studies.splines import KNOTS, Basis, fit_linear, fit_logistic
 from lanebound.agents.studies.street_drives import DriveMoment, StreetDrivesConfig, drive_street, work_streets
 from lanebound.agents.studies.study import Shown, stored
 from lanebound.integrity.assessment.accuracy import clopper_pearson
 from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_figure, save, tidy
 from lanebound.integrity.core.config import Field
+from lanebound.integrity.core.splines import KNOTS, Basis, fit_linear, fit_logistic
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.positioning.modes import Mode
 

@@ -16,16 +16,15 @@ alone. Then the whole navigator drives them, and what it receives and bounds is 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.report.pages import Table
-from lanebound.agents.studies.splines import Basis, fit_logistic
 from lanebound.agents.studies.street_drives import (
     AZIMUTH_STEP_DEG,
     ELEVATION_STEP_DEG,
@@ -42,6 +41,14 @@ from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sky.availability import (
+    LONGEST_GAP_S,
+    WORST_PDOP,
+    AvailabilityModel,
+    Fit,
+    gaps_along,
+    likely,
+)
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.prediction import pdop, predict_street
 from lanebound.integrity.sky.survey import MapConfig, as_mapped
@@ -54,12 +61,9 @@ Array = NDArray[np.float64]
 
 ANTENNA_HEIGHT_M = 1.5
 SAMPLE_S = 1.0  # between samples of a vehicle
-FEWEST_FOR_RTK = 5  # satellites (S2 section 3)
-WORST_PDOP = 20.0  # in place of a larger one: no position
 NO_LEVEL_M = 1e4  # in place of a missing level
-LONGEST_GAP_S = 600.0  # since the sky was good, at the beginning of a street
-LIKELY = 0.5
-BINS, GROUPS = 5, 10  # of the reliability diagram; of probabilities whose levels are alike
+BINS = 5  # of the reliability diagram
+ALL = "all"  # skies
 QUANTILES = (0.5, 0.9)
 RESAMPLES, CONFIDENCE = 2000, 0.95
 OTHERS = "direct", "codes"
@@ -98,8 +102,9 @@ def run_prediction(
     """
     found = work_streets(config, "prediction", 2 * config.streets, work_street, out, jobs, on_progress)
     streets = {sky: [SampledStreet.of(part) for part in parts] for sky, parts in found.items()}
-    model = Model.fitted([street for each in streets.values() for street in each[: config.streets]])
+    model = fitted([street for each in streets.values() for street in each[: config.streets]])
     unseen = {sky: each[config.streets :] for sky, each in streets.items()}
+    groups = {sky: [each] for sky, each in unseen.items()} | {ALL: list(unseen.values())}
     result: dict[str, Any] = {
         "config": config.to_dict(),
         "satellites": [
@@ -107,14 +112,11 @@ def run_prediction(
             for sky, each in streets.items()
             for k, sigma in enumerate(config.map_sigmas_m)
         ],
-        "availability": [
-            {"sky": sky} | judged(model, each)
-            for sky, each in {**unseen, "all": [street for each in unseen.values() for street in each]}.items()
-        ],
-        "reliability": reliability(model, [street for each in unseen.values() for street in each]),
+        "availability": [{"sky": name} | judged(model, each) for name, each in groups.items()],
+        "reliability": [row | {"sky": name} for name, each in groups.items() for row in reliability(model, each)],
     }
-    save(figure_6({sky: each[0] for sky, each in unseen.items()}), out / "satellites.svg")
-    save(reliability_figure(result["reliability"]), out / "reliability.svg")
+    save(figure_6({sky: each[0] for sky, each in unseen.items()}, config.vehicles), out / "satellites.svg")
+    save(reliability_figure([row for row in result["reliability"] if row["sky"] == ALL]), out / "reliability.svg")
     return stored(result, out)
 
 
@@ -223,117 +225,110 @@ def differences(streets: Sequence[SampledStreet], which: int) -> dict[str, float
     }
 
 
-class Model(NamedTuple):
-    """Probabilities of RTK and of a usable position, and quantiles of levels, from what is predicted of a street.
+def fitted(streets: Sequence[SampledStreet]) -> AvailabilityModel:
+    """The model of the samples of streets."""
+    names = "rtk", "usable", "pl_ct_m"
+    rtk, usable, levels = (np.concatenate([s.samples[name] for s in streets]) for name in names)
+    number, pdops = (np.concatenate([v(s)[s.station] for s in streets]) for v in (_number, _pdop))
 
-    Attributes
-    ----------
-    fix, use : basis and coefficients of both models
-    edges : (GROUPS - 1,) probabilities between groups
-    levels : (GROUPS, Q) quantiles of PL_CT of each group [m]
-    """
+    def gap_of(fix: Fit) -> Array:
+        return np.concatenate([gap_s(fix, s)[s.station] for s in streets])
 
-    fix: tuple[Basis, Array]
-    use: tuple[Basis, Array]
-    edges: Array
-    levels: Array
+    return AvailabilityModel.fitted(number, pdops, rtk > 0.0, usable > 0.0, levels, gap_of, QUANTILES)
 
-    @classmethod
-    def fitted(cls, streets: Sequence[SampledStreet]) -> Model:
-        """The model of the samples of streets."""
-        columns = {name: np.concatenate([s.samples[name] for s in streets]) for name in ("rtk", "usable", "pl_ct_m")}
-        number, dilution = (np.concatenate([f(s)[s.station] for s in streets]) for f in (_number, _dilution))
-        fix = _fit(number, dilution, columns["rtk"] > 0.0)
-        gap = np.concatenate([_gap(fix, s)[s.station] for s in streets])
-        use = _fit(number, gap, columns["usable"] > 0.0)
-        probability = expit(use[0].at(number, gap) @ use[1])
-        edges = np.unique(np.quantile(probability, np.linspace(0.0, 1.0, GROUPS + 1)[1:-1], method="lower"))
-        edges = edges[edges < probability.max()]  # so that no group is empty
-        group = np.searchsorted(edges, probability)
-        levels = [np.quantile(columns["pl_ct_m"][group == g], QUANTILES) for g in range(edges.size + 1)]
-        return cls(fix, use, edges, np.array(levels))
 
-    def probability(self, street: SampledStreet) -> Array:
-        """Probability of a usable position at the stations of a street, (N,)."""
-        return np.asarray(expit(self.use[0].at(_number(street), _gap(self.fix, street)) @ self.use[1]))
+def probability(model: AvailabilityModel, street: SampledStreet) -> Array:
+    """Probability of a usable position at the stations of a street, (N,)."""
+    return model.probability(_number(street), gap_s(model.fix, street))
 
-    def quantiles(self, street: SampledStreet) -> Array:
-        """Quantiles of PL_CT at the stations of a street, (N, Q) [m]."""
-        return np.asarray(self.levels[np.searchsorted(self.edges, self.probability(street))])
+
+def gap_s(fix: Fit, street: SampledStreet) -> Array:
+    """Time since an RTK position was likely, at the planned speed, (N,); the longest one before it first is."""
+    good = likely(fix, _number(street), _pdop(street))
+    at_s = np.arange(good.size) * street.spacing_m / street.speed_mps
+    return np.where(np.maximum.accumulate(good), gaps_along(good, at_s), LONGEST_GAP_S)
 
 
 def _number(street: SampledStreet) -> Array:
     return np.asarray(street.satellites[0], dtype=np.float64)
 
 
-def _dilution(street: SampledStreet) -> Array:
-    return np.asarray(np.log(street.pdop[0]))
+def _pdop(street: SampledStreet) -> Array:
+    return np.asarray(street.pdop[0])
 
 
-def _gap(fix: tuple[Basis, Array], street: SampledStreet) -> Array:
-    """Logarithm of the time since an RTK position was likely, at the planned speed, (N,)."""
-    basis, coefficients = fix
-    likely = expit(basis.at(_number(street), _dilution(street)) @ coefficients) >= LIKELY
-    likely &= street.satellites[0] >= FEWEST_FOR_RTK
-    stations = np.arange(likely.size)
-    last = np.maximum.accumulate(np.where(likely, stations, -1))
-    seconds = np.where(last >= 0, (stations - last) * street.spacing_m / street.speed_mps, LONGEST_GAP_S)
-    return np.log1p(seconds)
+def judged(model: AvailabilityModel, skies: Sequence[Sequence[SampledStreet]]) -> dict[str, Any]:
+    """Brier score of the probabilities beside that of each sky's share, and how often levels lie below.
 
-
-def _fit(x: Array, y: Array, happens: NDArray[np.bool_]) -> tuple[Basis, Array]:
-    basis = Basis(x, y)
-    return basis, fit_logistic(basis.at(x, y), happens)
-
-
-def judged(model: Model, streets: Sequence[SampledStreet]) -> dict[str, Any]:
-    """Brier score of the probabilities beside that of the share of these streets, and how often levels lie below.
-
-    The skill is ``1 - BS / BS_climate``; the climate knows the usable share of the judged streets, which no forecast
-    does. Its interval is by street.
+    The skill is ``1 - BS / BS_climate``; the climate knows the usable share of the judged streets of each sky, which no
+    forecast does. Its interval is by street, drawn again within each sky, with the share of what is drawn.
     """
-    said = [model.probability(s)[s.station] for s in streets]
+    streets = [street for each in skies for street in each]
+    said = [probability(model, s)[s.station] for s in streets]
     was = [s.samples["usable"] for s in streets]
-    share = float(np.concatenate(was).mean())
-    squares = np.array(
-        [[((p - u) ** 2).sum(), ((share - u) ** 2).sum(), u.size] for p, u in zip(said, was, strict=True)]
-    )
-    chosen = named_generator(0, "resamples").integers(len(streets), size=(RESAMPLES, len(streets)))
-    again = squares[chosen].sum(1)
-    skill = 1.0 - again[:, 0] / again[:, 1]
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    levels = np.concatenate([model.quantiles(s)[s.station] for s in streets])
+    sums = np.array([[((p - u) ** 2).sum(), u.sum(), u.size] for p, u in zip(said, was, strict=True)])
+    drawn, first = _drawn([len(each) for each in skies]), np.cumsum([0, *map(len, skies)])
+    brier, climate = np.zeros((2, RESAMPLES + 1))
+    for begin, end in pairwise(first.tolist()):
+        wrong, usable, number = np.moveaxis(sums[drawn[:, begin:end]].sum(1), -1, 0)
+        brier += wrong
+        climate += usable - usable**2 / number
+    skill = 1.0 - brier / climate
+    levels = np.concatenate([model.quantiles(probability(model, s))[s.station] for s in streets])
     real = np.concatenate([s.samples["pl_ct_m"] for s in streets])
     return {
         "streets": len(streets),
-        "usable": share,
+        "usable": float(sums[:, 1].sum() / sums[:, 2].sum()),
         "predicted": float(np.concatenate(said).mean()),
-        "brier": float(squares[:, 0].sum() / squares[:, 2].sum()),
-        "skill": float(1.0 - squares[:, 0].sum() / squares[:, 1].sum()),
-        "skill_low": float(np.quantile(skill, tail)),
-        "skill_high": float(np.quantile(skill, 1.0 - tail)),
+        "brier": float(sums[:, 0].sum() / sums[:, 2].sum()),
+        "skill": _interval(skill),
         "below": [float((real <= levels[:, q]).mean()) for q in range(len(QUANTILES))],
     }
 
 
-def reliability(model: Model, streets: Sequence[SampledStreet]) -> list[dict[str, float]]:
-    """Predicted probability and usable share of the samples in bins of equal width."""
-    said = np.concatenate([model.probability(s)[s.station] for s in streets])
-    was = np.concatenate([s.samples["usable"] for s in streets])
-    place = np.minimum((said * BINS).astype(np.int64), BINS - 1)
+def reliability(model: AvailabilityModel, skies: Sequence[Sequence[SampledStreet]]) -> list[dict[str, Any]]:
+    """Predicted probability and usable share, with its interval by street, of the samples in bins of equal width."""
+    streets = [street for each in skies for street in each]
+    said = [probability(model, s)[s.station] for s in streets]
+    place = [np.minimum((p * BINS).astype(np.int64), BINS - 1) for p in said]
+    sums = np.array([
+        [np.bincount(b, weights, BINS) for weights in (p, s.samples["usable"], np.ones(p.size))]
+        for s, p, b in zip(streets, said, place, strict=True)
+    ])  # fmt: skip
+    foretold, usable, number = np.moveaxis(sums[_drawn([len(each) for each in skies])].sum(1), 1, 0)
     return [
-        {"predicted": float(said[own].mean()), "usable": float(was[own].mean()), "samples": int(own.sum())}
+        {
+            "predicted": float(foretold[0, b] / number[0, b]),
+            "usable": _interval(usable[:, b] / np.maximum(number[:, b], 1.0)),
+            "samples": int(number[0, b]),
+        }
         for b in range(BINS)
-        if (own := place == b).any()
+        if number[0, b]
     ]
 
 
-def figure_6(streets: Mapping[str, SampledStreet]) -> Figure:
+def _drawn(sizes: Sequence[int]) -> NDArray[np.int64]:
+    """All streets, and then streets drawn again with replacement within each sky: (1 + RESAMPLES, streets)."""
+    rng, begin, columns = named_generator(0, "resamples"), 0, []
+    for size in sizes:
+        columns.append(begin + np.vstack([np.arange(size), rng.integers(size, size=(RESAMPLES, size))]))
+        begin += size
+    return np.concatenate(columns, axis=1)
+
+
+def _interval(values: Array) -> dict[str, float]:
+    """The first value, and the interval of the others."""
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low, high = np.quantile(values[1:], (tail, 1.0 - tail))
+    return {"value": float(values[0]), "low": float(low), "high": float(high)}
+
+
+def figure_6(streets: Mapping[str, SampledStreet], vehicles: int) -> Figure:
     """Received less predicted along the drive of one vehicle, as S2 Figure 6: satellites and PDOP, a row a sky."""
     figure = new_figure(7.5, 1.9 * len(streets) + 0.4)
     axes = figure.subplots(len(streets), 2, squeeze=False)
     for (sky, s), (left, right) in zip(streets.items(), axes, strict=True):
-        first = slice(0, 1 + int(np.argmax(np.diff(s.station, append=-1) < 0)))
+        first = slice(0, s.station.size // vehicles)
         number = (s.samples["received"] - s.satellites[0, s.station])[first]
         left.step(np.arange(number.size) * SAMPLE_S, number, color=INK, lw=1.0)
         here, there = s.samples["pdop"][first], s.pdop[0, s.station][first]
@@ -348,14 +343,15 @@ def figure_6(streets: Mapping[str, SampledStreet]) -> Figure:
     return figure
 
 
-def reliability_figure(bins: Sequence[Mapping[str, float]]) -> Figure:
+def reliability_figure(bins: Sequence[Mapping[str, Any]]) -> Figure:
     """Usable share by predicted probability, streets that nothing was fitted on."""
     figure = new_figure(4.2, 3.6)
     axes = figure.subplots()
     axes.plot([0.0, 1.0], [0.0, 1.0], "--", color=INK, lw=0.8, label="calibrated")
-    axes.plot(
-        [b["predicted"] for b in bins], [b["usable"] for b in bins], "o-", color=PL_COLOUR, label="unseen streets"
-    )
+    for b in bins:
+        axes.plot([b["predicted"]] * 2, [b["usable"]["low"], b["usable"]["high"]], color=PL_COLOUR, lw=1.2)
+    said, was = [b["predicted"] for b in bins], [b["usable"]["value"] for b in bins]
+    axes.plot(said, was, "o-", color=PL_COLOUR, label="unseen streets")
     tidy(axes, xlabel="predicted probability [-]", ylabel="usable share [-]")
     legend(axes)
     return figure
@@ -363,18 +359,15 @@ def reliability_figure(bins: Sequence[Mapping[str, float]]) -> Figure:
 
 def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
     """All tables."""
-    yield (
-        "Received less predicted, by the error of mapped heights (S2: 2 on average, within 5; PDOP 0.461)",
-        satellites(result),
-    )
+    title = "Received less predicted, by the error of mapped heights (S2: 2 on average, within 5; PDOP 0.461)"
+    yield title, satellites(result)
     yield "Availability on streets that nothing was fitted on; intervals of 95 % by street", availability(result)
-    yield (
-        "Reliability of the predicted probability",
-        (
-            ("predicted", "usable", "samples"),
-            [(f"{b['predicted']:.2f}", f"{b['usable']:.2f}", f"{b['samples']:,}") for b in result["reliability"]],
-        ),
-    )
+    rows = [(b["sky"], f"{b['predicted']:.2f}", _cell(b["usable"]), f"{b['samples']:,}") for b in result["reliability"]]
+    yield "Reliability of the predicted probability", (("sky", "predicted", "usable", "samples"), rows)
+
+
+def _cell(found: Mapping[str, float]) -> str:
+    return f"{found['value']:.2f} ({found['low']:.2f} .. {found['high']:.2f})"
 
 
 def satellites(result: Mapping[str, Any]) -> Table:
@@ -397,7 +390,7 @@ def availability(result: Mapping[str, Any]) -> Table:
     return heads, [
         (
             d["sky"], f"{100.0 * d['usable']:.1f} %", f"{100.0 * d['predicted']:.1f} %", f"{d['brier']:.3f}",
-            f"{d['skill']:.2f} ({d['skill_low']:.2f} .. {d['skill_high']:.2f})",
+            _cell(d["skill"]),
             *(f"{100.0 * share:.0f} %" for share in d["below"]),
         )
         for d in result["availability"]

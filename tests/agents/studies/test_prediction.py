@@ -39,23 +39,34 @@ def test_differences_are_received_less_predicted() -> None:
 
 
 def test_probabilities_are_calibrated_and_better_than_the_climate_on_other_streets() -> None:
-    model = study.Model.fitted([made_up(seed) for seed in range(4)])
+    model = study.fitted([made_up(seed) for seed in range(4)])
     unseen = [made_up(seed) for seed in range(10, 16)]
-    found = study.judged(model, unseen)
-    assert found["skill_low"] > 0.2  # variance of the chance over that of the outcome: 1/3
+    found = study.judged(model, [unseen])
+    assert found["skill"]["low"] > 0.2  # variance of the chance over that of the outcome: 1/3
     assert abs(found["predicted"] - found["usable"]) < 0.03
-    for row in study.reliability(model, unseen):
-        assert abs(row["predicted"] - row["usable"]) < 0.05
+    for row in study.reliability(model, [unseen]):
+        assert abs(row["predicted"] - row["usable"]["value"]) < 0.05
     for share, quantile in zip(found["below"], study.QUANTILES, strict=True):
         assert abs(share - quantile) < 0.06
 
 
+def test_shares_of_skies_are_no_skill() -> None:
+    """A forecast that knows the share of each sky and nothing else has none, in one sky and over all."""
+    good, bad = made_up(1), made_up(2)
+    for street, chance in ((good, 0.9), (bad, 0.1)):
+        street.samples["usable"][:] = np.random.default_rng(0).random(4000) < chance
+        street.satellites[:] = round(20 * chance)
+    model = study.fitted([good, bad])
+    for skies in ([[good]], [[bad]], [[good], [bad]]):
+        assert abs(study.judged(model, skies)["skill"]["value"]) < 0.01
+
+
 def test_gaps_grow_at_the_planned_speed_since_rtk_was_likely() -> None:
-    model = study.Model.fitted([made_up(seed) for seed in range(4)])
+    model = study.fitted([made_up(seed) for seed in range(4)])
     street = made_up(20)
     number = np.full(200, 2)
     number[50] = 20
-    gap = np.expm1(study._gap(model.fix, street._replace(satellites=number[None])))
+    gap = study.gap_s(model.fix, street._replace(satellites=number[None]))
     assert gap[49] == study.LONGEST_GAP_S
     np.testing.assert_allclose(gap[50:53], [0.0, 0.5, 1.0])
 

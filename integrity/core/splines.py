@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
@@ -22,14 +24,25 @@ class Basis:
     ----------
     x, y : (n,) samples of both variables
     knots : how many of each; with one knot the variable does not enter
+
+    Attributes
+    ----------
+    x, y : knots
     """
 
     def __init__(self, x: Array, y: Array, knots: tuple[int, int] = (KNOTS, KNOTS)) -> None:
-        self._x, self._y = _knots(x, knots[0]), _knots(y, knots[1])
+        self.x, self.y = _knots(x, knots[0]), _knots(y, knots[1])
+
+    @classmethod
+    def of(cls, x: Array, y: Array) -> Self:
+        """The basis with these knots."""
+        basis = cls.__new__(cls)
+        basis.x, basis.y = x, y
+        return basis
 
     def at(self, x: Array, y: Array) -> Array:
         """The columns (n, k) of samples."""
-        products = _hats(x, self._x)[:, :, None] * _hats(y, self._y)[:, None, :]
+        products = _hats(x, self.x)[:, :, None] * _hats(y, self.y)[:, None, :]
         return np.concatenate([np.ones((x.size, 1)), products.reshape(x.size, -1)], 1)
 
 

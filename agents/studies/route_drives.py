@@ -1,0 +1,243 @@
+"""Drives of the whole navigator along routes through a map: where a position is usable, and the levels, each second.
+
+The vehicles of a batch drive one route each through one city at one hour. They stand at the beginning, drive at the
+speed limits of their streets within comfortable accelerations and without lights, and stop at the end. Their sky is
+that of the nearest of stations along the streets of all routes, which are cast once each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from lanebound.agents.checkpointing.runner import Advance, ignore
+from lanebound.envs.sky import SkyLevel
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.streams import named_generator
+from lanebound.integrity.motion.drive import DriveConfig
+from lanebound.integrity.motion.truth import Truth
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sensors.campaign import FaultPriors, random_campaign
+from lanebound.integrity.sensors.faults import FaultSchedule
+from lanebound.integrity.sky.journeys.streets import (
+    AZIMUTH_STEP_DEG,
+    ELEVATION_STEP_DEG,
+    TURN_M,
+    EdgeStations,
+    at_hour,
+    lane_line,
+)
+from lanebound.integrity.sky.maps.city import city_of
+from lanebound.integrity.sky.maps.generated import generated_map
+from lanebound.integrity.sky.maps.graph import StreetEdge, StreetGraph
+from lanebound.integrity.sky.road import Road
+from lanebound.integrity.sky.scene import City, clad
+from lanebound.integrity.sky.survey import MapConfig, as_mapped
+from lanebound.integrity.sky.track import SkyTrack
+from lanebound.integrity.sky.visibility import SkyMask
+
+Array = NDArray[np.float64]
+
+PACKAGES = ("lanebound.integrity", "lanebound.agents.studies", "lanebound.envs.sky")  # that results depend on
+STATION_M = 8.0  # of the true sky; of the sky of environments 5 m
+NO_LEVEL_M = 1e4  # in place of a missing level
+
+
+class RouteDrivesConfig(Config):
+    """Cities, how they are mapped, and what vehicles are equipped with."""
+
+    sky: str = Field("urban", description="level of sky that gives reference link, instruments and materials")
+    faults: str | None = Field(
+        "sensors/fault_priors_nominal", description="preset of fault rates; none: nothing but what the street does"
+    )
+    seed: int = Field(301, ge=0, description="of hours, places, maps, instruments and faults")
+    cities: int = Field(20, ge=1, le=100, description="generated cities")
+    warm_up_s: float = Field(20.0, ge=0, description="standing before a drive [s]")
+    map: MapConfig = Field(MapConfig(), description="errors of the map of the prediction")
+    navigator: NavigatorConfig = NavigatorConfig()
+    drive: DriveConfig = Field(DriveConfig(), description="accelerations; the speed limits are those of the streets")
+
+
+class Town(NamedTuple):
+    """A city, its graph, its solids as they are and as they are mapped."""
+
+    graph: StreetGraph
+    true: City
+    mapped: City
+
+
+def town_of(config: RouteDrivesConfig, seed: int) -> Town:
+    """The generated city of a seed; the map is a draw of its own."""
+    streets = generated_map(seed)
+    city, level = city_of(streets), SkyLevel.named(config.sky)
+    city = replace(city, material=clad(city.building, level.material_shares, named_generator(seed, "facades")))
+    mapped = as_mapped(city, config.map, named_generator([config.seed, seed], "map"))
+    return Town(StreetGraph.of(streets), city, mapped)
+
+
+def navigator_config(config: RouteDrivesConfig, hour: float) -> NavigatorConfig:
+    """The navigator with the instruments of the sky, at an hour of the day."""
+    base = SkyLevel.named(config.sky).navigator(config.navigator)
+    return base.replace(sky=at_hour(base.sky, hour).to_dict())
+
+
+class Leg(NamedTuple):
+    """A way to be driven: edges in order, and the shares of the first and the last one where it begins and ends."""
+
+    edges: tuple[int, ...]
+    begin: float
+    end: float
+
+
+class Driven(NamedTuple):
+    """What one vehicle met, by epochs of its drive (K,).
+
+    Attributes
+    ----------
+    dt_s, length_m : of an epoch; of the way
+    place_en_m : (K, 2) true
+    rtk, usable, pl_ct_m : solution
+    """
+
+    dt_s: float
+    length_m: float
+    place_en_m: Array
+    rtk: NDArray[np.bool_]
+    usable: NDArray[np.bool_]
+    pl_ct_m: Array
+
+    @property
+    def time_s(self) -> float:
+        """Time of the drive."""
+        return self.dt_s * self.usable.size
+
+    @property
+    def unusable_s(self) -> float:
+        """Time without a usable position."""
+        return self.dt_s * float((~self.usable).sum())
+
+
+def drive_legs(
+    config: RouteDrivesConfig, town: Town, legs: Sequence[Leg], hour: float, seeds: Sequence[int],
+    advance: Advance = ignore,
+) -> list[Driven]:  # fmt: skip
+    """Drive legs under the true city at an hour, a vehicle each.
+
+    Parameters
+    ----------
+    seeds : one for the campaign of faults of all vehicles, and one for each vehicle
+    """
+    base = navigator_config(config, hour)
+    edges = town.graph.edges
+    used = sorted({k for leg in legs for k in leg.edges})
+    stations = EdgeStations.along([edges[k] for k in used], STATION_M)
+    mask = SkyMask.of_stations(stations.antenna_enu_m, town.true, STATION_M, AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG)
+    ways = []
+    for leg in legs:
+        own = [stations.of(used.index(k)) for k in leg.edges]
+        rows = np.concatenate([np.arange(one.start, one.stop) for one in own])
+        ways.append(_Way.of([edges[k] for k in leg.edges], leg, stations, rows, config.drive, base.dt_s))
+    wait = round(config.warm_up_s / base.dt_s)
+    epochs = wait + max(way.speed_mps.size for way in ways) - 1
+    track = SkyTrack.from_config(base.sky, epochs * base.dt_s + 60.0)
+    faults: Any = None
+    if config.faults is not None:
+        view = track.at(track.start_s, np.zeros(len(legs), dtype=np.int64))
+        rng = named_generator(seeds[0], "faults")
+        faults = FaultSchedule(random_campaign(FaultPriors.preset(config.faults), epochs * base.dt_s, rng, view))
+    navigator = Navigator(base, track, mask, list(seeds[1:]), faults=faults)
+    met: list[list[tuple[bool, bool, float]]] = [[] for _ in legs]
+    for k, truth in enumerate(_truths(ways, wait, epochs, base.dt_s)):
+        solution = navigator.step(truth)
+        usable, rtk = solution.available & ~solution.alert, solution.mode == Mode.RTK
+        for b, way in enumerate(ways):
+            if wait <= k < wait + way.speed_mps.size - 1:
+                met[b].append((bool(rtk[b]), bool(usable[b]), min(float(solution.pl_ct_m[b]), NO_LEVEL_M)))
+        advance((k + 1) / epochs)
+    out = []
+    for way, rows_met in zip(ways, met, strict=True):
+        rtk, usable, level = (np.array(column) for column in zip(*rows_met, strict=True))
+        out.append(Driven(base.dt_s, way.length_m, way.place_en_m[1:], rtk, usable, level))
+    return out
+
+
+class _Way(NamedTuple):
+    """The motion of a vehicle, by epoch (K + 1,), from standing to standing; ``row`` of the stations of the mask."""
+
+    length_m: float
+    place_en_m: Array
+    heading_rad: Array
+    speed_mps: Array
+    row: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls, edges: Sequence[StreetEdge], leg: Leg, stations: EdgeStations, rows: NDArray[np.int64],
+        drive: DriveConfig, dt_s: float,
+    ) -> _Way:  # fmt: skip
+        """The motion along edges."""
+        road = Road.through(_lane_along(edges, leg), corner_radius_m=np.inf)
+        near = cKDTree(stations.place_en_m[rows])
+        limit = stations.speed_mps[rows][near.query(road.vertices_en_m)[1]]
+        speed = _profile(road, limit, drive)
+        step = np.diff(road.arc_at_m)
+        time_s = np.concatenate([[0.0], np.cumsum(2.0 * step / (speed[:-1] + speed[1:]))])
+        at = np.minimum(dt_s * np.arange(int(np.ceil(time_s[-1] / dt_s)) + 1), time_s[-1])
+        k = np.clip(np.searchsorted(time_s, at, side="right") - 1, 0, step.size - 1)
+        v = np.interp(at, time_s, speed)
+        arc = np.minimum(road.arc_at_m[k] + 0.5 * (speed[k] + v) * (at - time_s[k]), road.length_m)
+        place, heading = road.pose_at(arc)
+        return cls(road.length_m, place, heading, v, rows[near.query(place)[1]])
+
+
+def _lane_along(edges: Sequence[StreetEdge], leg: Leg) -> Array:
+    """The rightmost lanes of edges in order, with chords across the junctions.  (n, 2) [m]."""
+    parts = []
+    for k, edge in enumerate(edges):
+        line = lane_line(edge)
+        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        corner = min(TURN_M, 0.3 * arc[-1])
+        begin = leg.begin * arc[-1] if k == 0 else corner
+        end = leg.end * arc[-1] if k == len(edges) - 1 else arc[-1] - corner
+        at = np.array([begin, *arc[(arc > begin + 1.0) & (arc < end - 1.0)], max(end, begin + 1.0)])
+        parts.append(np.stack([np.interp(at, arc, line[:, j]) for j in (0, 1)], -1))
+    return np.concatenate(parts)
+
+
+def _profile(road: Road, limit_mps: Array, drive: DriveConfig) -> Array:
+    """Speeds at the vertices of a road within limits, bends and accelerations; slow at both ends."""
+    step = np.diff(road.arc_at_m)
+    bend = np.maximum(np.abs(np.diff(road.tangent_rad)), 1e-9)
+    in_bend = np.maximum(np.sqrt(drive.lateral_mps2 * step / bend), 3.0)
+    speed = limit_mps.copy()
+    speed[:-1], speed[1:] = np.minimum(speed[:-1], in_bend), np.minimum(speed[1:], in_bend)
+    speed[0] = speed[-1] = 0.0
+    for k in range(step.size):
+        speed[k + 1] = min(speed[k + 1], np.sqrt(speed[k] ** 2 + 2.0 * drive.acceleration_mps2 * step[k]))
+    for k in range(step.size - 1, -1, -1):
+        speed[k] = min(speed[k], np.sqrt(speed[k + 1] ** 2 + 2.0 * drive.braking_mps2 * step[k]))
+    return speed
+
+
+def _truths(ways: Sequence[_Way], wait: int, epochs: int, dt_s: float) -> Iterator[Truth]:
+    """The truths of all vehicles, which stand before and after their drives."""
+
+    def at(k: int) -> tuple[Array, Array, Array, Array]:
+        which = [min(max(k - wait, 0), way.speed_mps.size - 1) for way in ways]
+        pairs = list(zip(ways, which, strict=True))
+        place = np.array([way.place_en_m[i] for way, i in pairs])
+        heading = np.array([way.heading_rad[i] for way, i in pairs])
+        speed = np.array([way.speed_mps[i] for way, i in pairs])
+        velocity = speed[:, None] * np.stack([np.sin(heading), np.cos(heading)], -1)
+        return place, velocity, heading, STATION_M * np.array([way.row[i] for way, i in pairs], dtype=np.float64)
+
+    lane = np.zeros(len(ways), dtype=np.int64)
+    for k, (a, b) in enumerate(pairwise(map(at, range(epochs + 1)))):
+        yield Truth.between(dt_s * (k + 1), dt_s, (a[0], b[0]), (a[1], b[1]), (a[2], b[2]), b[3], lane)
