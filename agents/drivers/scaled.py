@@ -59,9 +59,8 @@ class LevelScaled(Levelled):
     def __init__(self, env: DrivingEnv, config: ScaledConfig) -> None:
         super().__init__(env, config)
         self._budget, self._dt_s = env.config.budget, env.dt_s
-        self._law = self.steering
-        if isinstance(self._law, LqrSteering) and not self.reader.config.roads:
-            self.steering = self._steer
+        if isinstance(self.steering, LqrSteering) and not self.reader.config.roads:
+            self._law, self.steering = self.steering, self._steer
 
     def free_speed(self, observation: Observation) -> Array:
         """Speed that the route and the level across allow."""

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from pydantic import field_validator
 
 from lanebound.agents.benchmark.episode import allotted_s
-from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
-from lanebound.agents.benchmark.statistics import VERDICT_SEEDS, Better, Difference, difference, estimate, holm
+from lanebound.agents.benchmark.metrics import HARM_OF_AN_END, Better
+from lanebound.agents.benchmark.statistics import VERDICT_SEEDS, Difference, difference, estimate, holm
 from lanebound.agents.benchmark.suite import SPLITS, Split
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.drivers.base import Reader
@@ -95,8 +95,10 @@ class DecisionsConfig(Config):
     )
     drivers: tuple[str, ...] = Field(tuple(DRIVERS), min_length=1, description="agents of the study")
     split: Split = Field("test", description="seeds that are driven")
-    seeds: int = Field(100, ge=2, le=1000, description="episodes of each case, from the first seed of the split on")
+    seeds: int = Field(100, ge=2, le=1000, description="episodes of each case, under consecutive seeds of the split")
+    skip: int = Field(0, ge=0, description="number of first seeds of the split to leave out")
     fitted: int = Field(24, ge=2, le=1000, description="training episodes of each id and navigator, for the medians")
+    quantile: float = Field(0.5, gt=0, lt=1, description="of the levels of nominal that one level and a clock have [-]")
     scaled: Mapping[str, Any] = Field({}, description=f"figures of {SCALED} and its twins, such as fill")
     overrides: Mapping[str, Any] = Field({}, description="of the environments' configuration, merged deeply")
 
@@ -142,7 +144,7 @@ def _of_place(config: DecisionsConfig, name: str, advance: Advance) -> dict[str,
     changes = config.changes_of(navigator)
     with closing(open_env(full_id(env), changes)) as single:
         longest, dt_s, weights = allotted_s(single), single.dt_s, single.config.cost.weights
-    level_m, spread = _medians(env, changes, config.fitted)
+    level_m, spread = _levels(env, changes, config.fitted, config.quantile)
     fixed = {"age_s": [0.0], **{f"pl_{axis}_m": [level_m[axis][-1]] for axis in AXES}}
     by_clock = {"age_s": list(AGES_S), **{f"pl_{axis}_m": level_m[axis][:-1] for axis in AXES}}
     stands = all(by_clock[f"pl_{axis}_m"] == len(AGES_S) * level_m[axis][-1:] for axis in AXES)  # without RTK it does
@@ -175,7 +177,7 @@ def _driven(
     config: DecisionsConfig, env: str, changes: Mapping[str, Any], driver: str, figures: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Sums of each episode of a driver, and its levels and errors at all decisions."""
-    count, first = config.seeds, SPLITS[config.split][0]
+    count, first = config.seeds, SPLITS[config.split][0] + config.skip
     causes, steps = np.zeros((count, len(CAUSES))), np.zeros(count)
     sums, ends = {name: np.zeros(count) for name in SUMS}, {name: np.zeros(count) for name, _ in ENDS}
     levels, errors = [], []
@@ -202,10 +204,10 @@ def _driven(
     }
 
 
-def _medians(
-    env: str, changes: Mapping[str, Any], count: int
+def _levels(
+    env: str, changes: Mapping[str, Any], count: int, quantile: float
 ) -> tuple[dict[str, list[float]], list[tuple[float, ...]]]:
-    """Median levels of ``nominal`` on training seeds at each of ``AGES_S``, and at any time, by axis; and their spread.
+    """A quantile of the levels of ``nominal`` on training seeds at each of ``AGES_S``, and at any time; their spread.
 
     The spread has a row for each age that occurred: the age, the number of decisions, quartiles of PL_CT, and the
     median and 95 % quantile of the error across. A level counts as its observation shows it: missing ones, and those
@@ -227,8 +229,8 @@ def _medians(
     found = {}
     for axis in AXES:
         level = np.concatenate(levels[axis])
-        medians = [float(np.median(level[nearest == i])) for i in there]
-        found[axis] = [*np.interp(grid, grid[there], medians).tolist(), float(np.median(level))]
+        at_age = [float(np.quantile(level[nearest == i], quantile)) for i in there]
+        found[axis] = [*np.interp(grid, grid[there], at_age).tolist(), float(np.quantile(level, quantile))]
     level, error = np.concatenate(levels["ct"]), np.concatenate(errors)
     spread = [
         (
@@ -266,7 +268,7 @@ def _decided(found: Mapping[str, Any]) -> Table:
         if {reads, rival} <= set(found["config"]["drivers"])
     ]
     changes = {
-        (place, pair, key): difference(*(np.array(drivers[name][key]) for name in pair), SENSE[key])
+        (place, pair, key): difference(np.array(drivers[pair[0]][key]), np.array(drivers[pair[1]][key]), SENSE[key])
         for place, (_, _, drivers) in enumerate(_each(found))
         for pair in pairs
         for key in JUDGED
