@@ -19,11 +19,13 @@ FLAT: dict[str, Any] = {"observation": {"form": "flat"}}
 LEVELS = ("pl_", "ratio_", "margin_", "trend_", "alert", "available", "reason_", "permitted_speed", "possible_limit",
           "roads_agree")  # fmt: skip
 
+SEED = 6  # in Guidance it begins on the faster road
+
 
 def _observations(env: Any, count: int = 40) -> np.ndarray[Any, Any]:
     """Of a drive of the integrity-aware driver."""
     driver, found = make_agent("integrity_aware", env), []
-    observation, _ = env.reset(seed=3)
+    observation, _ = env.reset(seed=SEED)
     for _ in range(count):
         found.append(observation)
         observation, _, terminated, truncated, _ = env.step(driver.predict(observation)[0])
