@@ -32,11 +32,13 @@ AGENTS = {
     "cautious": "lanebound.agents.drivers.margins:make_cautious",
     "cbf": "lanebound.agents.drivers.barrier:make_cbf",
     "clock": "lanebound.agents.drivers.clock:make_clock",
+    "clock_scaled": "lanebound.agents.drivers.scaled:make_clock_scaled",
     "constant": "lanebound.agents.drivers.degenerate:make_constant",
     "cruise": "lanebound.agents.drivers.cruise:make_cruise",
     "idm": "lanebound.agents.drivers.cruise:make_idm",
     "integrity_aware": "lanebound.agents.drivers.aware:make_integrity_aware",
     "layer": "lanebound.agents.drivers.layered:make_layer",
+    "level_scaled": "lanebound.agents.drivers.scaled:make_level_scaled",
     "lqr": "lanebound.agents.drivers.cruise:make_lqr",
     "mpc": "lanebound.agents.drivers.mpc:make_mpc",
     "nominal": "lanebound.agents.drivers.nominal:make_nominal",
@@ -77,6 +79,7 @@ ABOUT = {
     "clock": About(
         "integrity_aware with levels by the time since RTK", "position, modes, sky ahead", "by time: slows, stops", ANY
     ),
+    "clock_scaled": About("level_scaled by the time since RTK", "position, modes", "by time: slows", ANY),
     "constant": About("bad on purpose: a share of the limit, blind to all else", "position", "nothing", SPEED),
     "cruise": About("keeps lane, speed and distance", "position", "nothing", ANY),
     "idm": About("cruise with IDM for distances", "position", "nothing", ANY),
@@ -85,6 +88,9 @@ ABOUT = {
     ),
     "layer": About(
         "hard rules over an agent (`over`; nominal), `AGENT+layer`", f"{LEVELS}, alert", "slows, keeps its lane", ANY
+    ),
+    "level_scaled": About(
+        "rss, speed and steering scaled by the levels", f"{LEVELS}, alert", "slows as levels grow", ANY
     ),
     "lqr": About("cruise with LQR steering", "position", "nothing", STEERED),
     "mpc": About("model predictive control", f"{LEVELS}, alert", "slows as levels grow", FULL),

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation, StatelessDriver
 from lanebound.agents.drivers.crossing import crosses
-from lanebound.agents.drivers.margins import Rss, RssConfig
-from lanebound.agents.drivers.mobil import neighbours
+from lanebound.agents.drivers.margins import Levelled, LevelledConfig
 from lanebound.agents.drivers.plan import carry_out
-from lanebound.agents.drivers.plans import FREE_M, closure_gap, following_acceleration, safe_speed
+from lanebound.agents.drivers.plans import FREE_M, closure_gap
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import ConfigError
@@ -25,7 +24,7 @@ Array = NDArray[np.float64]
 FAR_M = 1e6
 
 
-class AwareConfig(RssConfig):
+class AwareConfig(LevelledConfig):
     """Thresholds for slowing down and stopping."""
 
     alert_share: float = Field(0.48, gt=0, le=1, description="of the limit while an alert is on; just below what costs")
@@ -33,9 +32,6 @@ class AwareConfig(RssConfig):
         0.96, gt=0, le=1, description="of the permitted speed while an alert is on, where the environment shows it"
     )
     ratio_calm: float = Field(0.6, ge=0, lt=1, description="PL / AL up to which the limit holds [-]; chosen")
-    slow_mps2: float = Field(4.0, gt=0, description="braking for an alert at most; as in RSS")
-    settled_mps: float = Field(0.2, gt=0, description="excess over a target speed at which it counts as driven")
-    follower_s: float = Field(3.0, ge=0, description="time gap up to which a follower counts; chosen")
     satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in over 3 of 5 cases")
     dead_reckoning_s: float = Field(
         30.0,
@@ -54,23 +50,11 @@ class AwareConfig(RssConfig):
     grace_s: float = Field(8.0, ge=0, description="longer by this where the open sky is reached within it; chosen")
     link_s: float = Field(1.0, gt=0, description="the same where the sky is open and the link is out; chosen")
     link_age_s: float = Field(2.0, gt=0, description="age of the reference data from which the link counts as out")
-    lane_extra_m: float = Field(
-        3.0,
-        ge=0,
-        description="the own lane is widened by PL_CT, by this at most; broadcasts can be a lane off",
-    )
-    cross_extra_m: float = Field(0.5, ge=0, description="crossing vehicles are widened by PL_AT, by this at most")
-    decide_m: float = Field(
-        130.0,
-        gt=0,
-        description="to the end of the road for each change of lanes for a goal: farther away it waits while possible "
-        "roads ask for different ones; 4.7 s at 27.8 m/s, chosen",
-    )
     sky_bonus_mps2: float = Field(0.5, ge=0, description="gain of a lane that sees the sky where the own does not")
     closure_bonus_mps2: float = Field(1.0, ge=0, description="gain of leaving a lane that is known to close; chosen")
 
 
-class IntegrityAware(Rss):
+class IntegrityAware(Levelled):
     """RSS with protection levels: slower with them and before known outages, and prefers lanes with an open sky.
 
     The speed falls from the limit at ``PL / AL = ratio_calm`` to a share of it at 1; the larger ratio counts. Before
@@ -88,11 +72,10 @@ class IntegrityAware(Rss):
     """
 
     NEEDED: ClassVar[Sequence[str]] = (
-        *Rss.NEEDED,
+        *Levelled.NEEDED,
         "integrity.alert",
         "integrity.alert_age",
         "integrity.corrections_age",
-        "integrity.pl_ct",
         "integrity.ratio_at",
         "integrity.ratio_ct",
         "integrity.since_rtk",
@@ -107,24 +90,6 @@ class IntegrityAware(Rss):
                 f"stop_ct_m must be <= {most:g}, the largest level in the observation, got {config.stop_ct_m:g}: lower "
                 "it, or raise observation.pl_max_m"
             )
-
-    def margins(self, observation: Observation) -> tuple[Array | float, Array | float]:
-        """The combined levels, across the track up to a bound."""
-        if not self.reader.config.vehicles:
-            return 0.0, 0.0
-        across = np.minimum(self.reader.rows(observation, "pl_ct"), self.config.lane_extra_m)
-        return self.reader.rows(observation, "pl_at"), across
-
-    def widening(self, observation: Observation) -> Array | float:
-        """The combined level along the track, up to a bound."""
-        if not self.reader.config.vehicles:
-            return 0.0
-        return np.minimum(self.reader.rows(observation, "pl_at"), self.config.cross_extra_m)
-
-    def link_margin(self, observation: Observation) -> Array | float:
-        """The level across the track; a level that the observation cannot show excludes no link."""
-        level = self.reader.value(observation, "integrity.pl_ct")
-        return np.where(level < self.reader.scale("integrity.pl_ct"), level, np.inf)
 
     def free_speed(self, observation: Observation) -> Array:
         """Speed that route, levels, predicted sky and alert allow."""
@@ -176,43 +141,12 @@ class IntegrityAware(Rss):
             nearest = np.where(points[..., i] & points[..., i + 1], d, nearest)
         return nearest
 
-    def acceleration(self, observation: Observation) -> Array:
-        """Brakes as hard as nominal for the estimate alone, and within a bound for levels, sky and alert."""
-        c, v = self.config, self.reader.value(observation, "ego.speed")
-        careful = super().acceleration(observation)
-        plain = self.giving(observation, super().free_speed(observation))
-        bare = following_acceleration(v, plain, *self.lead(observation, margins=False), c)
-        return np.minimum(bare, np.maximum(careful, -c.slow_mps2))
-
-    def top_speed(self, observation: Observation) -> Array:
-        """As RSS; before a follower, levels take the next target speed only when the present one is driven.
-
-        The speed control of meta-actions approaches a target with a time constant of 0.6 s; a level each decision would
-        brake with 10 m/s2 in Highway, and a follower that reacts late hits the car.
-        """
-        careful = super().top_speed(observation)
-        if not self._targets_mps.size:
-            return careful
-        read, c = self.reader.value, self.config
-        v, target = read(observation, "ego.speed"), read(observation, "ego.target_speed")
-        follower = neighbours(self.reader, observation, 0).follower_gap_m
-        still = (v > target + c.settled_mps) & (follower < c.follower_s * v)
-        if not still.any():
-            return careful
-        free = self.giving(observation, super().free_speed(observation))
-        bare = np.minimum(free, safe_speed(*self.lead(observation, margins=False), c))
-        return np.where(still, np.maximum(careful, np.minimum(bare, target)), careful)
-
-    def change(self, observation: Observation) -> NDArray[np.int64]:
-        """As nominal, with a bonus for the sky; none while an alert is on."""
-        value = self.reader.value
-        waits = value(observation, "integrity.alert") > 0.5
+    def waits(self, observation: Observation) -> NDArray[np.bool_]:
+        """Under an alert; where possible roads ask for different lanes as well."""
+        waits = self.reader.value(observation, "integrity.alert") > 0.5
         if self.reader.config.roads:
-            seen = 0.95 * self.reader.scale("road.junction")  # a farther end of the road is not seen
-            left = np.minimum(self.config.decide_m * np.abs(value(observation, "road.route_shift")), seen)
-            waits |= value(observation, "integrity.roads_agree") < 0.5
-            waits &= value(observation, "road.junction") > left
-        return np.where(waits, 0, super().change(observation))
+            waits |= self.reader.value(observation, "integrity.roads_agree") < 0.5
+        return waits
 
     def bonus(self, observation: Observation) -> tuple[Array | float, Array | float]:
         """For each side the share of the points ahead with enough satellites there and too few on the own lane.

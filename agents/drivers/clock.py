@@ -14,10 +14,10 @@ from lanebound.agents.drivers.base import Observation, Reader, StatelessDriver
 from lanebound.agents.drivers.plan import carry_out
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.observation import ObservationConfig
-from lanebound.integrity.core.config import Field
+from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
 
-__all__ = ["AGES_S", "ClockAware", "ClockConfig", "make_clock"]
+__all__ = ["AGES_S", "ClockAware", "ClockConfig", "ClockReader", "LevelsByAge", "make_clock"]
 
 Array = NDArray[np.float64]
 AGES_S = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 60.0)
@@ -25,7 +25,7 @@ AGES_S = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 60.0)
 AXES = ("at", "ct")
 
 
-class ClockConfig(AwareConfig):
+class LevelsByAge(Config):
     """Levels by the time since RTK, linear in between.
 
     The defaults are medians of the levels of `nominal` in LaneKeeping under its sky (``lanebound assess decisions``,
@@ -55,12 +55,16 @@ class ClockConfig(AwareConfig):
         return self
 
 
+class ClockConfig(LevelsByAge, AwareConfig):
+    """Thresholds of the integrity-aware driver, and the levels in place of the navigator's."""
+
+
 class ClockReader(Reader):
     """Reads observations as others do, but levels, their ratios and the alert by the time since RTK.
 
     The alert is on while such a level exceeds its limit; it is as old as the navigator's alert. Each vehicle of the
-    traffic has the ego's level. Where a camera keeps the lane, under an alert roads do not agree, and the other road
-    beside the believed one is possible.
+    traffic has the ego's level, but those that a sensor measures, whose distance has no part of the position. Where a
+    camera keeps the lane, under an alert roads do not agree, and the other road beside the believed one is possible.
 
     Parameters
     ----------
@@ -68,7 +72,7 @@ class ClockReader(Reader):
     figures : levels by age
     """
 
-    def __init__(self, config: ObservationConfig, figures: ClockConfig) -> None:
+    def __init__(self, config: ObservationConfig, figures: LevelsByAge) -> None:
         super().__init__(config)
         self._figures = figures
 
@@ -98,7 +102,8 @@ class ClockReader(Reader):
         """A quantity of all K vehicles of the traffic, (..., K)."""
         found = super().rows(observation, name)
         if name in ("pl_at", "pl_ct"):
-            return np.broadcast_to(self._level(observation, name[-2:])[..., None], found.shape)
+            level = self._level(observation, name[-2:])[..., None]
+            return np.where(super().rows(observation, "sensor") > 0.5, found, level)
         return found
 
     def _level(self, observation: Observation, axis: str) -> Array:

@@ -1,9 +1,10 @@
 """Where a level decides: navigators and drivers in many ids, on the same roads, traffic, sky and errors.
 
 Each case is an id, a navigator and a driver, on held-out seeds in the vector engine. ``integrity_aware`` reads levels
-and alerts. ``clock`` is the same driver with the median level at the time since RTK, ``fixed`` that with the median
-level at any time; both medians are those of ``nominal`` on training seeds of the id and navigator. ``nominal`` ignores
-all of them. Levels are better than a clock or one level where they do less harm, or have less cost of causes that do
+and alerts; speed, gap and steering of ``level_scaled`` follow the size of levels. ``clock`` and ``clock_scaled`` are
+the same drivers with the median level at the time since RTK, ``fixed`` and ``fixed_scaled`` with the median level at
+any time; both medians are those of ``nominal`` on training seeds of the id and navigator. ``nominal`` ignores all of
+them. Levels are better than a clock or one level where they do less harm, or have less cost of causes that do
 not depend on levels, at equal throughput.
 """
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from pydantic import field_validator
 
 from lanebound.agents.benchmark.episode import allotted_s
-from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
+from lanebound.agents.benchmark.metrics import HARM_OF_AN_END, Better
 from lanebound.agents.benchmark.statistics import VERDICT_SEEDS, Difference, difference, estimate, holm
 from lanebound.agents.benchmark.suite import SPLITS, Split
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
@@ -47,11 +48,21 @@ PACKAGES = (
     "lanebound.agents:studies/decisions.py",
     "lanebound.agents:studies/limits.py",
 )
-SECTIONS = ("decides", "position", "outcome", "causes")
-READS = "integrity_aware"
-DRIVERS: dict[str, str] = {"nominal": "nominal", "fixed": "clock", "clock": "clock", READS: READS}
+SECTIONS = ("decides", "position", "outcome", "causes", "spread")
+SCALED = "level_scaled"
+TWINS: dict[str, tuple[str, str]] = {
+    "integrity_aware": ("fixed", "clock"),
+    SCALED: ("fixed_scaled", "clock_scaled"),
+}
+"""Agents that read levels, and the names of the same agent with one level and with a clock."""
+DRIVERS: dict[str, str] = {"nominal": "nominal"} | {
+    name: agent
+    for reads, twins in TWINS.items()
+    for name, agent in zip((*twins, reads), (twins[1], twins[1], reads), strict=True)
+}
 """Agents of the study, by their names in it."""
-JUDGED = ("harm", "true_cost", "throughput_mps")
+SENSE: dict[str, Better] = {"harm": "lower", "true_cost": "lower", "throughput_mps": "higher"}
+JUDGED = tuple(SENSE)
 TRUE = ("collision", "off_road", "lane", "conflict", "speeding", "route", "gore", "overcharge", "undercharge")
 """Causes that do not depend on levels or alerts: a cost of these is no verdict on who reads them."""
 EQUAL = 0.95  # of the throughput of the clock: from here on it counts as equal, chosen
@@ -84,8 +95,11 @@ class DecisionsConfig(Config):
     )
     drivers: tuple[str, ...] = Field(tuple(DRIVERS), min_length=1, description="agents of the study")
     split: Split = Field("test", description="seeds that are driven")
-    seeds: int = Field(100, ge=2, le=1000, description="episodes of each case, from the first seed of the split on")
+    seeds: int = Field(100, ge=2, le=1000, description="episodes of each case, under consecutive seeds of the split")
+    skip: int = Field(0, ge=0, description="number of first seeds of the split to leave out")
     fitted: int = Field(24, ge=2, le=1000, description="training episodes of each id and navigator, for the medians")
+    quantile: float = Field(0.5, gt=0, lt=1, description="of the levels of nominal that one level and a clock have [-]")
+    scaled: Mapping[str, Any] = Field({}, description=f"figures of {SCALED} and its twins, such as fill")
     overrides: Mapping[str, Any] = Field({}, description="of the environments' configuration, merged deeply")
 
     @field_validator("drivers")
@@ -130,16 +144,19 @@ def _of_place(config: DecisionsConfig, name: str, advance: Advance) -> dict[str,
     changes = config.changes_of(navigator)
     with closing(open_env(full_id(env), changes)) as single:
         longest, dt_s, weights = allotted_s(single), single.dt_s, single.config.cost.weights
-    level_m = _medians(env, changes, config.fitted)
+    level_m, spread = _levels(env, changes, config.fitted, config.quantile)
     fixed = {"age_s": [0.0], **{f"pl_{axis}_m": [level_m[axis][-1]] for axis in AXES}}
     by_clock = {"age_s": list(AGES_S), **{f"pl_{axis}_m": level_m[axis][:-1] for axis in AXES}}
     stands = all(by_clock[f"pl_{axis}_m"] == len(AGES_S) * level_m[axis][-1:] for axis in AXES)  # without RTK it does
     found: dict[str, Any] = {}
+    one_level = {clock: name for name, clock in TWINS.values()}
     for done, driver in enumerate(config.drivers):
-        if driver == "clock" and stands and "fixed" in found:
-            found[driver] = found["fixed"]
+        if stands and (same := one_level.get(driver)) in found:
+            found[driver] = found[same]
             continue
-        figures = {"fixed": fixed, "clock": by_clock}.get(driver)
+        figures: dict[str, Any] = fixed if driver in one_level.values() else by_clock if driver in one_level else {}
+        if driver in TWINS[SCALED] or driver == SCALED:
+            figures = {**config.scaled, **figures}
         part = _driven(config, env, changes, driver, figures)
         steps = np.array(part.pop("steps"))
         part["time_s"] = (dt_s * steps).tolist()
@@ -153,14 +170,14 @@ def _of_place(config: DecisionsConfig, name: str, advance: Advance) -> dict[str,
         part["causes"] = dict(zip(CAUSES, weighed.mean(axis=0).tolist(), strict=True))
         found[driver] = part
         advance((done + 1) / len(config.drivers))
-    return {"env": env, "navigator": navigator, "levels": by_clock, "fixed": fixed, "drivers": found}
+    return {"env": env, "navigator": navigator, "levels": by_clock, "fixed": fixed, "spread": spread, "drivers": found}
 
 
 def _driven(
     config: DecisionsConfig, env: str, changes: Mapping[str, Any], driver: str, figures: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Sums of each episode of a driver, and its levels and errors at all decisions."""
-    count, first = config.seeds, SPLITS[config.split][0]
+    count, first = config.seeds, SPLITS[config.split][0] + config.skip
     causes, steps = np.zeros((count, len(CAUSES))), np.zeros(count)
     sums, ends = {name: np.zeros(count) for name in SUMS}, {name: np.zeros(count) for name, _ in ENDS}
     levels, errors = [], []
@@ -187,18 +204,23 @@ def _driven(
     }
 
 
-def _medians(env: str, changes: Mapping[str, Any], count: int) -> dict[str, list[float]]:
-    """Median levels of ``nominal`` on training seeds at each of ``AGES_S``, and at any time, by axis.
+def _levels(
+    env: str, changes: Mapping[str, Any], count: int, quantile: float
+) -> tuple[dict[str, list[float]], list[tuple[float, ...]]]:
+    """A quantile of the levels of ``nominal`` on training seeds at each of ``AGES_S``, and at any time; their spread.
 
-    A level counts as its observation shows it: missing ones, and those above the scale, as the scale. An age that did
-    not occur has the level between those of its neighbours.
+    The spread has a row for each age that occurred: the age, the number of decisions, quartiles of PL_CT, and the
+    median and 95 % quantile of the error across. A level counts as its observation shows it: missing ones, and those
+    above the scale, as the scale. An age that did not occur has the level between those of its neighbours.
     """
     ages: list[Array] = []
+    errors: list[Array] = []
     levels: dict[str, list[Array]] = {axis: [] for axis in AXES}
     for infos, going, over, envs in first_episodes(env, changes, "nominal", count):
         on, reader = going & ~over, Reader(envs.config.observation)  # after an end the belief is of the next start
         belief = _belief(envs)
         ages.append(np.minimum(belief["since_rtk_s"], reader.scale("integrity.since_rtk"))[on])
+        errors.append(np.abs(infos["err_ct_m"][on]))
         for axis in AXES:
             levels[axis].append(np.minimum(infos[f"pl_{axis}_m"], reader.scale(f"integrity.pl_{axis}"))[on])
     age, grid = np.concatenate(ages), np.array(AGES_S)
@@ -207,9 +229,19 @@ def _medians(env: str, changes: Mapping[str, Any], count: int) -> dict[str, list
     found = {}
     for axis in AXES:
         level = np.concatenate(levels[axis])
-        medians = [float(np.median(level[nearest == i])) for i in there]
-        found[axis] = [*np.interp(grid, grid[there], medians).tolist(), float(np.median(level))]
-    return found
+        at_age = [float(np.quantile(level[nearest == i], quantile)) for i in there]
+        found[axis] = [*np.interp(grid, grid[there], at_age).tolist(), float(np.quantile(level, quantile))]
+    level, error = np.concatenate(levels["ct"]), np.concatenate(errors)
+    spread = [
+        (
+            AGES_S[i],
+            float(np.count_nonzero(nearest == i)),
+            *np.quantile(level[nearest == i], (0.25, 0.5, 0.75)).tolist(),
+            *np.quantile(error[nearest == i], (0.5, 0.95)).tolist(),
+        )
+        for i in there.tolist()
+    ]
+    return found, spread
 
 
 def _belief(envs: Any) -> Any:
@@ -217,8 +249,8 @@ def _belief(envs: Any) -> Any:
 
 
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:
-    """Where a level decides; positions, ends and causes of costs."""
-    made = (_decided(found), _positions(found), _outcomes(found), _causes(found))
+    """Where a level decides; positions, ends and causes of costs; how much levels vary at equal age of RTK."""
+    made = (_decided(found), _positions(found), _outcomes(found), _causes(found), _spread(found))
     return dict(zip(SECTIONS, made, strict=True))
 
 
@@ -229,19 +261,18 @@ def _each(found: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any
 
 def _decided(found: Mapping[str, Any]) -> Table:
     """Harm and true cost of each driver at its throughput, and whether levels are better than one level and a clock."""
-    rivals = [
-        name
-        for name in ("fixed", "clock")
-        if READS in found["config"]["drivers"] and name in found["config"]["drivers"]
+    pairs = [
+        (reads, rival)
+        for reads, twins in TWINS.items()
+        for rival in twins
+        if {reads, rival} <= set(found["config"]["drivers"])
     ]
     changes = {
-        (place, rival, key): difference(
-            np.array(drivers[READS][key]), np.array(drivers[rival][key]), "higher" if key == JUDGED[2] else "lower"
-        )
+        (place, pair, key): difference(np.array(drivers[pair[0]][key]), np.array(drivers[pair[1]][key]), SENSE[key])
         for place, (_, _, drivers) in enumerate(_each(found))
-        for rival in rivals
+        for pair in pairs
         for key in JUDGED
-        if drivers[READS][key] != drivers[rival][key]
+        if drivers[pair[0]][key] != drivers[pair[1]][key]
     }
     adjusted = holm([1.0 if change.p is None else change.p for change in changes.values()])
     sign = {at: _sign(change, p) for (at, change), p in zip(changes.items(), adjusted, strict=True)}
@@ -249,13 +280,13 @@ def _decided(found: Mapping[str, Any]) -> Table:
     for place, (env, navigator, drivers) in enumerate(_each(found)):
         available = f"{100.0 * np.mean(drivers[found['config']['drivers'][0]]['available']):.3g}"
         verdicts = []
-        for rival in rivals:
-            harm, cost, speed = (sign.get((place, rival, key), 0) for key in JUDGED)
-            verdict = _verdict(min(harm, cost), max(harm, cost), speed, _pace(drivers[READS], drivers[rival]))
-            verdicts.append(f"{verdict}{_shown(changes.get((place, rival, JUDGED[0])))}")
+        for pair in pairs:
+            harm, cost, speed = (sign.get((place, pair, key), 0) for key in JUDGED)
+            verdict = _verdict(min(harm, cost), max(harm, cost), speed, _pace(*(drivers[name] for name in pair)))
+            verdicts.append(f"{verdict}{_shown(changes.get((place, pair, JUDGED[0])))}")
         rows.append((env, navigator, available, *(_harm_at(part) for part in drivers.values()), *verdicts))
     heads = ("id", "navigator", "available [%]", *(f"`{name}`" for name in found["config"]["drivers"]))
-    return (*heads, *(f"against `{rival}`; harm less its" for rival in rivals)), rows
+    return (*heads, *(f"`{reads}` against `{rival}`; harm less its" for reads, rival in pairs)), rows
 
 
 def _shown(change: Difference | None) -> str:
@@ -336,3 +367,16 @@ def _causes(found: Mapping[str, Any]) -> Table:
     shown = [cause for cause in CAUSES if any(causes[cause] for *_, causes in parts)]
     rows = [(env, nav, f"`{driver}`", *(f"{causes[c]:.2g}" for c in shown)) for env, nav, driver, causes in parts]
     return ("id", "navigator", "driver", *(c.removeprefix("cost_") for c in shown)), rows
+
+
+def _spread(found: Mapping[str, Any]) -> Table:
+    """Levels of `nominal` on training seeds by the time since RTK, and errors."""
+    rows = [
+        (place["env"], place["navigator"], f"{age:g}", f"{count:.0f}", f"{median:.2g} ({low:.2g} to {high:.2g})",
+         f"{error:.2g} / {most:.2g}")
+        for place in found["places"].values()
+        for age, count, low, median, high, error, most in place["spread"]
+    ]  # fmt: skip
+    heads = ("id", "navigator", "since RTK [s]", "decisions", "PL across, median and quartiles [m]",
+             "error across, 50 / 95 % [m]")  # fmt: skip
+    return heads, rows

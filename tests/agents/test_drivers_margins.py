@@ -16,6 +16,7 @@ from lanebound.agents.drivers.margins import Cautious, CautiousConfig, Rss, RssC
 from lanebound.agents.drivers.nominal import Nominal
 from lanebound.agents.drivers.plan import Plan
 from lanebound.agents.drivers.plans import CruiseConfig
+from lanebound.agents.drivers.scaled import LevelScaled, ScaledConfig
 from lanebound.agents.drivers.stop import StopConfig, StopOnAlert
 from lanebound.agents.episodes import EpisodeLog, drive, open_env
 from lanebound.envs import IDS, make_config
@@ -60,7 +61,9 @@ def test_at_the_safe_speed_the_gap_is_the_distance_that_costs_are_judged_by(v, l
     assert speed == pytest.approx(v) if distance > 0.0 else speed >= v
 
 
-@pytest.mark.parametrize(("plan", "config"), [(Rss, RssConfig()), (IntegrityAware, AwareConfig())])
+@pytest.mark.parametrize(
+    ("plan", "config"), [(Rss, RssConfig()), (IntegrityAware, AwareConfig()), (LevelScaled, ScaledConfig())]
+)
 def test_a_larger_level_keeps_a_larger_gap(env, plan, config):
     driver = plan(env, config)
     accelerations, speeds = [], []
@@ -115,7 +118,7 @@ def test_the_blind_do_the_same_without_levels(agent, name):
     assert np.array_equal(*actions)
 
 
-@pytest.mark.parametrize("agent", ["rss", "integrity_aware", "stop_on_alert"])
+@pytest.mark.parametrize("agent", ["rss", "integrity_aware", "level_scaled", "stop_on_alert"])
 def test_who_needs_levels_says_so_when_blind(agent):
     env = open_env("LaneKeeping", GIVEN | {"observation": {"integrity": "blind"}})
     with pytest.raises(InputError, match=r"observation must show 'integrity\."):
@@ -229,7 +232,7 @@ def real(name: str, kind: str) -> Any:
     return open_env(name, {"sky": "open", "observation": {"integrity": kind}})
 
 
-@pytest.mark.parametrize("agent", ["rss", "cautious", "integrity_aware", "stop_on_alert", "oracle"])
+@pytest.mark.parametrize("agent", ["rss", "cautious", "integrity_aware", "level_scaled", "stop_on_alert", "oracle"])
 @pytest.mark.parametrize("name", ["LaneKeeping", "CarFollowing", "UrbanCanyon"])
 def test_a_short_drive_ends_well_and_the_same_each_time(agent, name):
     kind = "oracle" if agent == "oracle" else "full"

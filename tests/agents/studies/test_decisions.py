@@ -39,13 +39,14 @@ def test_a_position_on_the_other_road_shows_in_the_figures(tmp_path: Path) -> No
         assert not any(part["success"])
         assert part["throughput_mps"] == pytest.approx(part["speed_mps"]), "none ends before its longest time"
     assert place["drivers"]["clock"] == place["drivers"]["fixed"], "without RTK a clock stands still"
+    assert place["drivers"]["clock_scaled"] == place["drivers"]["fixed_scaled"] != place["drivers"]["clock"]
     blocked = place["drivers"]["integrity_aware"]["causes"]["cost_blocking"]
     assert blocked < 0.05, "at the limit of the slower possible road a car does not block"
     shown = tables(found)
     assert tuple(shown) == SECTIONS
     for heads, rows in shown.values():
         assert all(len(row) == len(heads) for row in rows)
-    assert [len(rows) for _, rows in shown.values()] == [1, 1, 4, 4]
+    assert [len(rows) for _, rows in shown.values()] == [1, 1, 7, 7, 1]
     assert assess_decisions(config, tmp_path)["places"] == found["places"]  # as kept
 
 
@@ -58,6 +59,22 @@ def test_medians_by_the_time_since_rtk_rise_in_outages(tmp_path: Path) -> None:
         assert len(levels) == len(AGES_S)
         assert levels[0] < levels[2] < levels[4]
         assert levels[0] <= place["fixed"][f"pl_{axis}_m"][0] <= max(levels)
+    for age, count, low, median, high, error, most in place["spread"]:
+        assert median == place["levels"]["pl_ct_m"][AGES_S.index(age)]
+        assert count >= 1
+        assert low <= median <= high
+        assert error <= most < high
+
+
+def test_figures_of_the_scaled_driver_are_those_of_its_twins(tmp_path: Path) -> None:
+    """At a level that may fill hardly any room both stand; the harm of standing is none."""
+    few = {"envs": ["LaneKeeping"], "navigators": ONE, "split": "train", "seeds": 2, "fitted": 2}
+    few |= {"drivers": ["clock_scaled", "level_scaled"], "scaled": {"fill": 1e-3}, "overrides": {"duration_s": 8.0}}
+    drivers = assess_decisions(DecisionsConfig.load(few), tmp_path)["places"]["LaneKeeping-one"]["drivers"]
+    for part in drivers.values():
+        assert max(part["throughput_mps"]) < 3.0
+        assert max(part["harm"]) == 0.0
+    assert drivers["clock_scaled"]["throughput_mps"] != drivers["level_scaled"]["throughput_mps"]
 
 
 def test_harm_counts_an_end_once_and_the_area_beyond_the_lane(tmp_path: Path) -> None:
