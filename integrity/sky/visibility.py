@@ -341,10 +341,12 @@ def rows_in(data: Mapping[str, NDArray[Any]]) -> MaskRows:
     KeyError, ValueError
         An array is missing, or does not fit the others.
     """
-    rows = MaskRows(*(data[name] for name in MaskRows._fields))
+    tables = {name: data[name] for name in MaskRows._fields}
     for name, kind in (("rules", MASK_RULES), ("reflection", REFLECTION), ("faces", FACE), ("edges", EDGE_LINE)):
-        if data[name].dtype != kind:
+        if tables[name].dtype != kind:
             raise ValueError(f"{name} has other fields")
+        tables[name] = tables[name].view(kind)  # a file does not say that fields are aligned, by which kernels differ
+    rows = MaskRows(**tables)
     cells = int(rows.rules["azimuths"][0] * rows.rules["elevations"][0])
     if rows.cell.dtype != np.uint16 or rows.cell.shape != (*rows.first.shape, cells):
         raise ValueError(f"tables must hold (N, L, {cells}) cells, got {rows.cell.shape}")
