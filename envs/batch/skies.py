@@ -211,11 +211,11 @@ class Cities:
 
     def _free(self) -> int:
         """A slot in which nothing is, or the one of the city that was drawn least recently and is not used."""
-        empty = set(range(self._slots)) - set(self._held.values())
-        if empty:
-            return min(empty)
         length = self.mask.spacing_m * self._stations
         used = {round(arc / length) for arcs in self._arcs for arc in arcs.tolist() if arc != NOWHERE_M}
+        empty = set(range(self._slots)) - set(self._held.values()) - used
+        if empty:
+            return min(empty)
         seed = next(seed for seed, slot in self._held.items() if slot not in used)
         return self._held.pop(seed)
 

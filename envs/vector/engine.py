@@ -220,7 +220,8 @@ class Engine:
     def bytes_per_environment(self) -> int:
         """Memory of the arrays that grow with N, per environment: of its episode, and of the next once there is one.
 
-        The scratch of a navigation epoch is not in it, a fifth of LaneKeeping's; ``lanebound bench --scale`` has all.
+        Not in it are the scratch of a navigation epoch, a fifth of LaneKeeping's, and the cities, at most one for each
+        of these episodes; ``lanebound bench --scale`` has all.
         """
         stages = [self._stage] if self._next is None else [self._stage, self._next]
         return sum(stage.nbytes for stage in stages) // self.count

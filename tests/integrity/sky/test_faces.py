@@ -119,6 +119,9 @@ def test_faces_survive_a_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.faces.table, one.faces.table)
     np.testing.assert_array_equal(again.faces.edge, one.faces.edge)
     np.testing.assert_array_equal(again.faces.edges, one.faces.edges)
+    assert [part.dtype.isalignedstruct for part in again.rows] == [part.dtype.isalignedstruct for part in one.rows], (
+        "kernels are compiled for the one or the other"
+    )
 
 
 def test_an_open_sky_has_no_faces() -> None:
