@@ -23,7 +23,7 @@ from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.maps.loops import along
 from lanebound.integrity.sky.maps.polygons import cleaned, inside, signed_area
-from lanebound.integrity.sky.maps.records import Frame, Restriction, Solid, StreetMap, StreetWay, Tree
+from lanebound.integrity.sky.maps.records import MapFrame, Restriction, Solid, StreetMap, StreetWay, Tree
 
 __all__ = ["GENERATED", "TEST_MAPS", "TRAIN_MAPS", "generated_map", "map_seed", "named_map"]
 
@@ -156,7 +156,7 @@ def generated_map(seed: int) -> StreetMap:
             trees += _lining(plan, piece)
     sky = SkyConfig()
     return StreetMap(
-        Frame(sky.lat_deg, sky.lon_deg), tuple(_ways(plan)), tuple(_restrictions(plan, rng)), tuple(solids),
+        MapFrame(sky.lat_deg, sky.lon_deg), tuple(_ways(plan)), tuple(_restrictions(plan, rng)), tuple(solids),
         tuple(trees), found=Counter(streets=len(plan.pieces), buildings=len(solids), trees=len(trees)),
     )  # fmt: skip
 
