@@ -15,14 +15,14 @@ from lanebound.agents.drivers.nominal import Nominal
 from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.agents.drivers.scaled import ClockScaled, ClockScaledConfig, LevelScaled, ScaledConfig
 from lanebound.agents.episodes import open_env
+from lanebound.agents.episodes.opening import full_id
+from lanebound.agents.studies.decisions import DecisionsConfig
 from lanebound.agents.studies.limits import first_episodes
-from lanebound.envs.ids import IDS
-from lanebound.envs.vector.env import engines
 
 LIMIT_MPS, WIDTH_M = 50.0 / 3.6, 3.25
 FLAT: dict[str, Any] = {"observation": {"form": "flat"}}
 GIVEN = FLAT | {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "sky": "open"}
-DRIVEN = sorted(set(IDS) & set(engines()))
+DRIVEN = [name for name in DecisionsConfig().envs if name != "Tolling"]  # where it decides on charges alone
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +158,7 @@ def test_the_twin_differs_by_the_level_alone(env: Any) -> None:
 @pytest.mark.parametrize("env_id", DRIVEN)
 def test_it_drives_every_id_in_the_engine_as_one_by_one(env_id: str, agent: str) -> None:
     steps = first_episodes(env_id, FLAT, agent, 2, 1000)
-    with closing(open_env(env_id, FLAT)) as single:
+    with closing(open_env(full_id(env_id), FLAT)) as single:
         driver = make_agent(agent, single)
         seen, _ = single.reset(seed=1000)
         for _ in range(4):
