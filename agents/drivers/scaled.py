@@ -43,11 +43,12 @@ class LevelScaled(Levelled):
                   - kappa (PL_AT + L / 2)^2 / 2
 
     with the symbols and the least room of that budget; the third term counts for a car that moves away from the middle,
-    kappa is the largest curvature up to PL_AT before the body. The sweep is linear in v, so v is a ratio. Gaps are less
-    PL_AT of both vehicles at any level. While PL_CT exceeds the room of a car in the middle of its lane, the regulator
-    takes that share of the offset: the car keeps its course rather than to follow a position that may be a lane off.
-    No lane is changed while PL_CT exceeds half of its width. Under an alert a level counts as its limit at least, as
-    after a failed test it bounds nothing.
+    kappa is the largest curvature up to PL_AT + L/2 + v T ahead. The sweep is linear in v, so v is a ratio. Gaps are
+    less PL_AT of both vehicles at any level. While PL_CT exceeds the room of a car in the middle of its lane, the
+    regulator takes that share of the offset: the car keeps its course rather than to follow a position that may be a
+    lane off. A law that steers past others, as where steering is the only command (Racetrack), is left as it is. No
+    lane is changed while PL_CT exceeds half of its width. Under an alert a level counts as its limit at least, as after
+    a failed test it bounds nothing.
 
     Where a camera keeps the lane, the room is the distance to the road beside, and the speed falls to the limit of that
     one at least; changes of lanes for the goal wait while PL_CT reaches it, until they must be made.

@@ -14,11 +14,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
 from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.benchmark.metrics import HARM_OF_AN_END, Better
@@ -109,6 +109,16 @@ class DecisionsConfig(Config):
             if name not in DRIVERS:
                 raise InputError(f"drivers must be of {', '.join(DRIVERS)}, got '{name}': correct it")
         return names
+
+    @model_validator(mode="after")
+    def _medians_are_of_other_drives(self) -> Self:
+        # A clock whose medians are of the drives that are judged would know them.
+        if self.split == "train" and self.skip < self.fitted:
+            raise InputError(
+                f"skip must be >= fitted = {self.fitted} with split 'train', got {self.skip}: the medians are of the "
+                "first training seeds; raise it"
+            )
+        return self
 
     @property
     def places(self) -> dict[str, tuple[str, str]]:

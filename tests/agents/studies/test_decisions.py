@@ -23,9 +23,8 @@ ONE = {"one": "navigators/consumer"}
 
 def test_a_position_on_the_other_road_shows_in_the_figures(tmp_path: Path) -> None:
     """To the right by the distance of the roads: from the motorway it is the collector road, from there no road."""
-    config = DecisionsConfig.load(
-        {"envs": ["Guidance"], "navigators": ONE, "split": "train", "seeds": 4, "fitted": 2, "overrides": AWAY}
-    )
+    few = {"envs": ["Guidance"], "navigators": ONE, "split": "train", "skip": 2, "seeds": 4, "fitted": 2}
+    config = DecisionsConfig.load({**few, "overrides": AWAY})
     found = assess_decisions(config, tmp_path)
     assert list(found["places"]) == ["Guidance-one"]
     place = found["places"]["Guidance-one"]
@@ -68,7 +67,7 @@ def test_medians_by_the_time_since_rtk_rise_in_outages(tmp_path: Path) -> None:
 
 def test_figures_of_the_scaled_driver_are_those_of_its_twins(tmp_path: Path) -> None:
     """At a level that may fill hardly any room both stand; the harm of standing is none."""
-    few = {"envs": ["LaneKeeping"], "navigators": ONE, "split": "train", "seeds": 2, "fitted": 2}
+    few = {"envs": ["LaneKeeping"], "navigators": ONE, "split": "train", "skip": 2, "seeds": 2, "fitted": 2}
     few |= {"drivers": ["clock_scaled", "level_scaled"], "scaled": {"fill": 1e-3}, "overrides": {"duration_s": 8.0}}
     drivers = assess_decisions(DecisionsConfig.load(few), tmp_path)["places"]["LaneKeeping-one"]["drivers"]
     for part in drivers.values():
@@ -94,4 +93,6 @@ def test_what_does_not_exist_is_refused_before_the_work(tmp_path: Path) -> None:
         assess_decisions(DecisionsConfig.load({"navigators": {"one": "services/none"}}), tmp_path)
     with pytest.raises(InputError, match="drivers must be of"):
         DecisionsConfig.load({"drivers": ["ppo"]})
+    with pytest.raises(InputError, match="skip must be >= fitted = 24"):
+        DecisionsConfig.load({"split": "train"})
     assert not list(tmp_path.iterdir())
