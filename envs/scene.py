@@ -127,7 +127,7 @@ class Streets:
     @classmethod
     def of(cls, world: AbstractEnv, config: EnvConfig) -> Self:
         """Of a world."""
-        sections, around = tuple(getattr(world, "sections", ())), getattr(world, "surroundings", None)
+        sections, around = tuple(getattr(world, "sections", ())), _around(world, config.extent_m)
         return cls(world.road.network, config.level, sections, config.extent_m, config.cities.vary, around)
 
     def __call__(self, seed: int) -> Street:
@@ -135,9 +135,27 @@ class Streets:
         return build_street(self.network, level, seed, self.sections, self.extent_m, self.surroundings)
 
 
+def _around(world: AbstractEnv, extent_m: float) -> City | None:
+    """The obstacles of a world's map, None without one.
+
+    Raises
+    ------
+    ConfigError
+        A road of the map is longer than ``extent_m``, up to which the sky of a road is computed.
+    """
+    around: City | None = getattr(world, "surroundings", None)
+    if around is not None:
+        longest = max(float(lane.length) for lane in world.road.network.lanes_list())
+        if longest > extent_m:
+            raise ConfigError(
+                f"extent_m must be {longest:.0f} m or more with this world.map, got {extent_m:g}: raise it"
+            )
+    return around
+
+
 def _street(world: AbstractEnv, config: EnvConfig, layout: int) -> Street:
     """The street of a world with the obstacles of its map, or with those of a city."""
-    given = getattr(world, "sections", ()), config.extent_m, getattr(world, "surroundings", None)
+    given = getattr(world, "sections", ()), config.extent_m, _around(world, config.extent_m)
     return build_street(world.road.network, config.level, layout, *given)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+import zlib
 from collections import OrderedDict
 from contextlib import suppress
 from functools import cache
@@ -86,7 +87,7 @@ def load(key: str, lanes: LaneMap) -> Street | None:
             city = City(data["triangles"], data["surface"], material=data["material"])
             mask = SkyMask.of_rows(rows_in(data), key)
             forecast = SkyForecast(data["free"], mask.azimuths, mask.elevations, mask.spacing_m)
-    except (OSError, EOFError, KeyError, ValueError, BadZipFile):
+    except (OSError, EOFError, KeyError, ValueError, BadZipFile, zlib.error):
         return None
     return Street(mask, forecast, city, lanes)
 

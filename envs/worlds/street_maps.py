@@ -55,6 +55,7 @@ LEAST_LOOP_M = 200.0
 REACH_M = 2000.0  # from the middle of a map, or from the places of a way: a longer way is none of one episode
 LANE_WIDTH_M = 3.25  # of worlds, if none is given
 ROADS = 4  # at least, where there are straights
+ROAD_M = 1500.0  # between the wished ends of longer ones: roads end on straights, and the sky of one ends at 2500 m
 UNIT_M = 100.0
 BLUNT = 1.0 / 3.0  # share of the other turn, below which a corner is left out for its neighbour
 FLAT = radians(0.2)  # of a turn that is none
@@ -208,8 +209,7 @@ def _offset(loop: ClosedWay, lanes: int, width_m: float) -> _LaneLine | None:
     for edge in loop.edges:
         line = _simplified(edge.points_en_m)
         points.append(line[:-1])
-        shift = edge.lanes - lanes + 0.5 if edge.lanes_against else 0.5 * (edge.lanes - 1) - (lanes - 1)
-        shifts += [shift * width_m] * (len(line) - 1)
+        shifts += [edge.right_of_middle_m(lanes - 1, width_m)] * (len(line) - 1)
         ways += [edge.way] * (len(line) - 1)
     at = np.concatenate(points)
     side = np.roll(at, -1, 0) - at
@@ -276,9 +276,8 @@ def _joined(line: _LaneLine | None, lanes: int, width_m: float) -> _LaneLine | N
             continue
         if np.abs(turns).max() > SHARPEST:
             return None
-        radius = _radii(turns, length)
-        least = LEAST_RADIUS_M + np.where(turns > 0.0, (lanes - 1) * width_m, 0.0)
-        least = np.minimum(least, 0.8 * np.minimum(_wished(turns), WIDEST_M))
+        inner = np.where(turns > 0.0, (lanes - 1) * width_m, 0.0)  # from the leftmost lane to the innermost one
+        radius, least = _radii(turns, length, inner), LEAST_RADIUS_M + inner
         k = int(np.argmin(radius / least))
         if radius[k] >= least[k]:
             far = max(_beside_m(first.corners, line.corners), _beside_m(line.corners, first.corners)) > MOVED_M
@@ -288,15 +287,14 @@ def _joined(line: _LaneLine | None, lanes: int, width_m: float) -> _LaneLine | N
     return None
 
 
-def _wished(turns: Array) -> Array:
-    """Radii of bends that cut a corner by ``CUT_M``, and no less than ``RADIUS_M``."""
-    return np.maximum(RADIUS_M, CUT_M / np.maximum(1.0 / np.cos(0.5 * turns) - 1.0, 1e-9))
+def _radii(turns: Array, length: Array, inner_m: Array) -> Array:
+    """Radii of bends, or those for which the sides have room, which two bends share by what they need.
 
-
-def _radii(turns: Array, length: Array) -> Array:
-    """The wished radii, or those for which the sides have room, which two bends share by what they need."""
+    The innermost lane, ``inner_m`` from the line, cuts a corner by ``CUT_M``, with no less than ``RADIUS_M``.
+    """
     tangent = np.array([_tangent(float(turn)) for turn in turns])
-    wanted = tangent * np.minimum(_wished(turns), WIDEST_M)
+    wished = np.maximum(RADIUS_M, CUT_M / np.maximum(1.0 / np.cos(0.5 * turns) - 1.0, 1e-9))
+    wanted = tangent * (np.minimum(wished, WIDEST_M) + inner_m)
     share = np.minimum(1.0, length / np.maximum(wanted + np.roll(wanted, -1), 1e-9))
     return np.asarray(wanted * np.minimum(share, np.roll(share, 1)) / np.maximum(tangent, 1e-9))
 
@@ -390,7 +388,8 @@ def _roads(line: _LaneLine) -> list[tuple[Path, float]]:
     n, limits = len(length), [way.speed_limit_mps for way in line.ways]
     arc = np.cumsum(length)
     wanted = [k for k in range(n) if limits[k] != limits[k - 1]]
-    wanted += [int(np.searchsorted(arc, share * arc[-1])) % n for share in np.arange(ROADS) / ROADS]
+    roads = max(ROADS, int(np.ceil(arc[-1] / ROAD_M)))
+    wanted += [int(np.searchsorted(arc, share * arc[-1])) % n for share in np.arange(roads) / roads]
     cuts: list[int] = []
     for k in wanted:
         cut = next((j % n for j in range(k, k + n) if rest[j % n] >= LEAST_CUT_M), None)
@@ -432,8 +431,7 @@ def _path(line: _LaneLine, sides: Sequence[int]) -> Path:
 def _made(streets: StreetMap, line: _LaneLine, lanes: int, width_m: float) -> MapRoad:
     """The road of a line with what stands around it."""
     closed = np.vstack([line.corners, line.corners[:1]])
-    level = np.array([way.level for way in line.ways])
-    city = city_of(streets, closed) + bridges_above(streets, closed, level)
+    city = city_of(streets, closed) + bridges_above(streets, closed, line.ways)
     for run in _covered_runs(line):
         road = Road.through(
             run, corner_radius_m=RADIUS_M, lane_count=lanes, lane_width_m=width_m, shift_m=0.5 * (lanes - 1) * width_m

@@ -74,6 +74,15 @@ def test_a_damaged_file_is_built_anew(place: Path, content: bytes) -> None:
     assert len(next(place.iterdir()).read_bytes()) > 100
 
 
+def test_a_file_with_damaged_blocks_is_built_anew(place: Path) -> None:
+    first = build_street(road(), LEVEL, 0)
+    whole = next(place.iterdir()).read_bytes()
+    for at in range(200, len(whole) - 400, len(whole) // 12):
+        next(place.iterdir()).write_bytes(whole[:at] + b"\xff" * 64 + whole[at + 64 :])
+        cache._recent.clear()
+        np.testing.assert_array_equal(build_street(road(), LEVEL, 0).mask.path, first.mask.path)
+
+
 def test_no_place_to_write_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "_recent", OrderedDict())
     blocked = tmp_path / "file"

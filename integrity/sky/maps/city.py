@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.sky.city import StreetConfig
 from lanebound.integrity.sky.maps.polygons import crossing, inside, triangulated
-from lanebound.integrity.sky.maps.records import Solid, StreetMap, Tree
+from lanebound.integrity.sky.maps.records import Solid, StreetMap, StreetWay, Tree
 from lanebound.integrity.sky.scene import City, Surface, prisms
 
 __all__ = ["bridges_above", "city_of", "in_buildings"]
@@ -71,11 +72,20 @@ def _crowns(trees: Sequence[Tree]) -> Array:
     return prisms(middle[:, None] + half[:, None, None] * square, base, top, floor=True)
 
 
-def bridges_above(streets: StreetMap, way_en_m: Array, level: NDArray[np.int64]) -> City:
-    """Decks of the bridges that cross a way (n, 2) [m] above the level (n - 1,) of its pieces."""
+def bridges_above(streets: StreetMap, way_en_m: Array, ways: Sequence[StreetWay]) -> City:
+    """Decks of the bridges that cross a way (n, 2) [m] above the level of its streets, one for each of its sides.
+
+    Streets of the way, and those that meet one of them at a point, do not lie above it.
+    """
     decks = [np.zeros((0, 3, 3))]
+    level = np.array([way.level for way in ways])
+    own = {node for way in ways for node in way.nodes}
+    low, high = way_en_m.min(0), way_en_m.max(0)
     for bridge in streets.bridges:
-        for a, b in zip(bridge.points_en_m[:-1], bridge.points_en_m[1:], strict=True):
+        axis = bridge.points_en_m
+        if not own.isdisjoint(bridge.nodes) or (axis.max(0) < low).any() or (axis.min(0) > high).any():
+            continue
+        for a, b in pairwise(axis):
             at = crossing(way_en_m, a, b)
             for k in np.flatnonzero(np.isfinite(at[:, 0]) & (level < bridge.level)):
                 along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9)

@@ -94,7 +94,7 @@ def read_city_model(path: str | Path) -> CityModel:
         raise InputError(f"{file}: {error}") from error
     except expat.ExpatError as error:
         raise InputError(f"city model {file} must be whole XML, got: {error}; fetch it again") from error
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise InputError(
             f"city model {file} must have the form of its format, got {type(error).__name__}: {error}; fetch it again"
         ) from error
@@ -196,7 +196,7 @@ def _of_gml(content: bytes) -> _Surfaces:
             points.extend(map(float, "".join(text).split()))
         elif name == "LinearRing":
             ring = np.array(points).reshape(-1, 3)
-            rings.insert(0 if "exterior" in path else len(rings), ring)
+            rings.insert(0 if path[-1:] in (["exterior"], ["outerBoundaryIs"]) else len(rings), ring)
         elif name == "Polygon" and rings and "Building" in path and not set(path) & set(NOT_SEEN):
             found.add(state["building"], state["lod"], list(rings))  # type: ignore[arg-type]
         text.clear()

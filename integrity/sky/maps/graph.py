@@ -45,6 +45,13 @@ class StreetEdge:
         """Length along the middle."""
         return float(np.linalg.norm(np.diff(self.points_en_m, axis=0), axis=1).sum())
 
+    def right_of_middle_m(self, lane: int, width_m: float) -> float:
+        """How far the middle of a lane lies to the right of that of the carriageway; lane 0 is the rightmost one.
+
+        width_m : of all lanes of the carriageway
+        """
+        return width_m * (0.5 * (self.lanes + self.lanes_against - 1) - lane)
+
     def turns_back(self, onward: StreetEdge) -> bool:
         """Whether another edge is this piece in the other direction."""
         return (
@@ -163,7 +170,7 @@ def _turns(streets: StreetMap, edges: Sequence[StreetEdge]) -> list[tuple[int, i
     for r in streets.restrictions:
         if r.only:
             only.setdefault((r.before, r.node), set()).add(r.after)
-        else:
+        elif r.before != r.after:  # no_u_turn, which would bar straight on at a point within a street
             forbidden.add((r.before, r.node, r.after))
     out = []
     for k, edge in enumerate(edges):

@@ -47,7 +47,7 @@ class _Found:
     """Objects of a file in degrees, before its middle is known."""
 
     streets: list[tuple[int, list[int], list[Place], dict[str, str]]] = field(default_factory=list)
-    bridges: list[tuple[list[Place], dict[str, str]]] = field(default_factory=list)
+    bridges: list[tuple[list[int], list[Place], dict[str, str]]] = field(default_factory=list)
     outlines: list[tuple[list[list[Place]], dict[str, str]]] = field(default_factory=list)
     trees: list[tuple[Place, dict[str, str]]] = field(default_factory=list)
     rows: list[list[Place]] = field(default_factory=list)
@@ -97,8 +97,8 @@ def read_osm(path: str | Path) -> StreetMap:
         if all(ring is not None for ring in kept):
             outlines.append(Outline(tuple(ring for ring in kept if ring is not None), tags))
     bridges = [
-        BridgeAxis(line, tg.metres(tags.get("width"), 1.0, 60.0) or BRIDGE_WIDTH_M, _level(tags))
-        for (_, tags), line in zip(found.bridges, near([one[0] for one in found.bridges]), strict=True)
+        BridgeAxis(line, tg.metres(tags.get("width"), 1.0, 60.0) or BRIDGE_WIDTH_M, _level(tags), tuple(nodes))
+        for (nodes, _, tags), line in zip(found.bridges, near([one[1] for one in found.bridges]), strict=True)
         if line is not None
     ]
     return StreetMap(
@@ -201,7 +201,7 @@ def _add_way(found: _Found, way: Any, tags: dict[str, str]) -> None:
     if kind is None or tags.get("area") == "yes":
         return
     if tags.get("bridge", "no") != "no" and len(line) > 1:
-        found.bridges.append((line, tags))
+        found.bridges.append((nodes, line, tags))
         found.count["bridges"] += 1
     if tags.get("highway") not in tg.DRIVABLE:
         if "highway" in tags:

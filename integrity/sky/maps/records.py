@@ -117,11 +117,12 @@ class Tree:
 
 @dataclass(frozen=True)
 class BridgeAxis:
-    """A bridge of a street, a path or a railway: its axis (n, 2), its width and its level."""
+    """A bridge of a street, a path or a railway: its axis (n, 2), its width, its level, the numbers of its points."""
 
     points_en_m: Array
     width_m: float
     level: int
+    nodes: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

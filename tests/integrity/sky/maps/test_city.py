@@ -13,7 +13,7 @@ from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildin
 from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.maps.osm import read_osm
 from lanebound.integrity.sky.maps.polygons import inside
-from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, StreetMap, Tree
+from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, StreetMap, StreetWay, Tree
 from lanebound.integrity.sky.raytrace import first_hits
 from lanebound.integrity.sky.scene import City
 
@@ -125,12 +125,18 @@ def test_only_what_is_near_a_way_is_an_obstacle() -> None:
 
 
 def test_bridges_stand_above_a_lower_way_only() -> None:
-    bridge = BridgeAxis(np.array([(0.0, -30.0), (0.0, 30.0)]), 8.0, 1)
+    bridge = BridgeAxis(np.array([(0.0, -30.0), (0.0, 30.0)]), 8.0, 1, (7, 8))
     streets = StreetMap(MapFrame(52.5, 13.4), bridges=(bridge,))
     way = np.array([(-100.0, 0.0), (100.0, 0.0), (100.0, 80.0)])
-    deck = bridges_above(streets, way, np.array([0, 0]))
+
+    def street(level: int, *nodes: int) -> StreetWay:
+        return StreetWay(1, nodes, way, "residential", 1, 1, None, 14.0, level)
+
+    deck = bridges_above(streets, way, [street(0, 1, 2)] * 2)
     assert len(deck) == 12
     low, high = deck.triangles_enu_m.reshape(-1, 3).min(0), deck.triangles_enu_m.reshape(-1, 3).max(0)
     np.testing.assert_allclose((low, high), ((-4.0, -12.0, 6.0), (4.0, 12.0, 7.5)))
-    assert not len(bridges_above(streets, way, np.array([1, 1])))
-    assert not len(bridges_above(streets, way + np.array([0.0, 40.0]), np.array([0, 0])))
+    assert not len(bridges_above(streets, way, [street(1, 1, 2)] * 2))
+    assert not len(bridges_above(streets, way, [street(0, 1, 8), street(0, 1, 2)]))  # a side street, up a ramp
+    assert not len(bridges_above(streets, way + np.array([0.0, 40.0]), [street(0, 1, 2)] * 2))
+    assert not len(bridges_above(streets, way + np.array([0.0, 30.0]), [street(0, 1, 2)] * 2))  # it ends there

@@ -89,6 +89,18 @@ def test_holes_of_citygml(tmp_path: Path) -> None:
     assert found.frame is None
 
 
+def test_holes_of_a_solid(tmp_path: Path) -> None:
+    roof = box(0.0, 0.0, 0.0, 20.0, 10.0)[4]
+    surface = polygon(roof, (0.5 * roof + (5.0, 5.0, 5.0))[::-1])
+    solid = (
+        f"<g:Solid><g:exterior><g:Shell><g:surfaceMember>{surface}</g:surfaceMember></g:Shell></g:exterior></g:Solid>"
+    )
+    file = tmp_path / "model.gml"
+    file.write_text(gml(f"<b:Building><b:lod2Solid>{solid}</b:lod2Solid></b:Building>", crs="local"), encoding="utf-8")
+    u, v = ((walls := read_city_model(file).city.triangles_enu_m)[:, k] - walls[:, 0] for k in (1, 2))
+    assert 0.5 * np.linalg.norm(np.cross(u, v), axis=1).sum() == pytest.approx(300.0)
+
+
 def test_a_box_of_cityjson(tmp_path: Path) -> None:
     file = tmp_path / "model.city.json"
     file.write_text(json.dumps(cityjson()), encoding="utf-8")
@@ -122,6 +134,7 @@ BOMB = '<?xml version="1.0"?><!DOCTYPE b [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a
         ("text.json", "{", "must have the form of its format"),
         ("deep.json", "[" * 100_000, "must have the form of its format"),
         ("other.json", "{}", "must have the type CityJSON"),
+        ("huge.json", json.dumps(cityjson(vertices=[[10**400, 0, 0]])), "must have the form of its format"),
         ("lost.json", json.dumps(cityjson(vertices=[[0, 0, 0]])), "must name vertices 0 to 0"),
         ("plain.json.gz", "{}", "must be a whole gzip file"),
     ],

@@ -55,6 +55,12 @@ def test_restrictions_forbid_turns(tmp_path: Path) -> None:
     assert followed(graph_of(tmp_path)) - followed(graph_of(tmp_path, streets=only)) == {(1, 2, 3), (3, 2, 1)}
 
 
+def test_turning_back_is_forbidden_and_not_straight_on_at_a_point_within_a_street(tmp_path: Path) -> None:
+    members = [("way", 1, "from"), ("node", 2, "via"), ("way", 1, "to")]
+    no = relation(9, members, {"type": "restriction", "restriction": "no_u_turn"})
+    assert followed(graph_of(tmp_path, streets=no)) == followed(graph_of(tmp_path))
+
+
 def test_the_shortest_way(tmp_path: Path) -> None:
     graph = graph_of(tmp_path)
     number = {(edge.start, edge.end): k for k, edge in enumerate(graph.edges)}

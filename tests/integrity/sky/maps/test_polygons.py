@@ -47,6 +47,32 @@ def test_holes_stay_open(seed: int) -> None:
     assert inside(triangles[sound].mean(1), [ring, hole, other]).all()
 
 
+@given(st.integers(0, 2**31), st.integers(1, 30), st.integers(3, 9))
+@settings(max_examples=200, deadline=None)
+def test_cuts_to_holes_cross_no_other_hole(seed: int, holes: int, corners: int) -> None:
+    rng = np.random.default_rng(seed)
+    cells = rng.permutation(36)[:holes]
+    middles = 10.0 * np.stack([cells % 6, cells // 6], -1) + 5.0
+    turned = np.array([[np.cos(seed), -np.sin(seed)], [np.sin(seed), np.cos(seed)]]) if seed % 2 else np.eye(2)
+    outline = np.array([(0.0, 0.0), (60.0, 0.0), (60.0, 60.0), (0.0, 60.0)])
+    shapes = [np.round(star(seed + k, corners, 4.4) + middle, seed % 3) for k, middle in enumerate(middles)]
+    rings = [ring for k, shape in enumerate([outline, *shapes])
+             if (ring := cleaned(shape @ turned.T, clockwise=k > 0)) is not None]  # fmt: skip
+    found = areas(triangulated(rings))
+    assert found.min() > -1e-9
+    assert np.abs(found).sum() == pytest.approx(sum(map(signed_area, rings)), rel=1e-9)
+
+
+def test_two_courtyards_and_many() -> None:
+    outline = np.array([(0.0, 0.0), (50.0, 0.0), (50.0, 40.0), (0.0, 40.0)])
+    holes = [np.array([(x, 10.0), (x, 30.0), (x + w, 30.0), (x + w, 10.0)]) for x, w in ((5.0, 1.0), (25.0, 1.0))]
+    assert np.abs(areas(triangulated([outline, *holes]))).sum() == pytest.approx(1960.0)
+    many = [np.array([(x, y), (x, y + 0.5), (x + 0.5, y)]) for x in 1.0 + np.arange(48) for y in 1.0 + np.arange(27)]
+    found = areas(triangulated([outline, *many]))  # as many corners as a polygon may have
+    assert found.min() > -1e-9
+    assert np.abs(found).sum() == pytest.approx(2000.0 - 0.125 * len(many))
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_inside_is_what_matplotlib_says(seed: int) -> None:
     ring = star(seed, 17)
