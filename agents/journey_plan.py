@@ -111,7 +111,9 @@ def plan_journey(
     """
     whole = named_map(name)
     sky = at_hour(SkyConfig(lat_deg=whole.frame.lat_deg, lon_deg=whole.frame.lon_deg), hour)
-    places = [_place(whole, place, of) for place, of in ((origin_deg, "--from"), (destination_deg, "--to"))]
+    reached = StreetGraph.of(whole)
+    points = np.concatenate([reached.edges[k].points_en_m for k in sorted(reached.connected)])
+    places = [_place(whole, points, *one) for one in ((origin_deg, "--from"), (destination_deg, "--to"))]
     streets = _near(whole, *places)
     graph = StreetGraph.of(streets)
     origin, destination = (place_on(graph, at, of) for at, of in zip(places, ("--from", "--to"), strict=True))
@@ -135,19 +137,18 @@ def plan_journey(
     return PlannedJourney(streets, now.ahead, places[0], places[1], hour, routes, by_hour)
 
 
-def _place(streets: StreetMap, place_deg: Degrees, name: str) -> Array:
-    """East, North of a place within the map.  (2,) [m]."""
+def _place(streets: StreetMap, points_en_m: Array, place_deg: Degrees, name: str) -> Array:
+    """East, North of a place within the bounds of points (n, 2) of streets.  (2,) [m]."""
     lat, lon = place_deg
     if not (abs(lat) <= 90.0 and abs(lon) <= 180.0):
         raise InputError(f"{name} must be LAT,LON in degrees, got {lat:g},{lon:g}: latitude first")
     at = streets.frame.en_of(lat, lon)
-    points = np.concatenate([way.points_en_m for way in streets.streets])
-    low, high = points.min(0), points.max(0)
+    low, high = points_en_m.min(0), points_en_m.max(0)
     if np.any(at < low) or np.any(at > high):
         (south, west), (north, east) = streets.frame.lat_lon_of(np.stack([low, high]))
         raise InputError(
-            f"{name} must lie in the map, latitude {south:.5f} to {north:.5f}, longitude {west:.5f} to {east:.5f}, "
-            f"got {lat:g},{lon:g}: choose a place there, or another map"
+            f"{name} must lie in the map's connected streets, latitude {south:.5f} to {north:.5f}, longitude "
+            f"{west:.5f} to {east:.5f}, got {lat:g},{lon:g}: choose a place there, or another map"
         )
     return np.asarray(at)
 

@@ -148,12 +148,13 @@ def summary(config: JourneysConfig, cities: Sequence[Sequence[Mapping[str, Any]]
     lost = met[..., 2]
     choices = []
     for k, choice in enumerate(CHOICES):
-        less = (met - met[:, :, :1])[:, :, k].mean(1)
         row: dict[str, Any] = {"choice": choice} | dict(zip(MET, met[:, :, k].mean((0, 1)).tolist(), strict=True))
         row["same"] = float(
             np.mean([p["routes"][choice]["edges"] == p["routes"]["shortest"]["edges"] for city in cities for p in city])
         )
-        row["less"] = {m: _interval(less[:, j], np.mean) for j, m in enumerate(MET)}
+        for name, other in (("less", 0), ("less_fastest", 1)):
+            less = (met[:, :, k] - met[:, :, other]).mean(1)
+            row[name] = {m: _interval(less[:, j], np.mean) for j, m in enumerate(MET)}
         for name, what in (("gain_cost", cost), ("gain_unusable", lost)):
             pairs = np.stack([what[:, :, 0] - what[:, :, k], what[:, :, 0] - what[:, :, -1]], -1).mean(1)
             row[name] = _interval(pairs, lambda rows: rows[:, 0].mean() / rows[:, 1].mean())
@@ -218,6 +219,7 @@ def calibration_figure(cities: Sequence[Sequence[Mapping[str, Any]]]) -> Figure:
 def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
     """All tables."""
     yield f"{result['journeys']} journeys in {result['cities']} test cities; intervals of 95 % by city", choices(result)
+    yield "Share of the oracle's gain on the shortest route", gains(result)
     yield (
         f"Predicted and met time without a position by route; correlation {result['correlation'] or 0.0:.2f}",
         (
@@ -228,24 +230,28 @@ def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
 
 
 def choices(result: Mapping[str, Any]) -> Table:
-    """What is met on the routes of each choice, and the differences to the shortest one."""
+    """What is met on the routes of each choice, and the differences to the shortest and the fastest ones."""
     heads = (
         "route", "time s", "length m", "unusable s", "as shortest", "unusable less shortest s", "time less shortest s",
-        "oracle's gain of cost", "of unusable time",
+        "unusable less fastest s", "time less fastest s",
     )  # fmt: skip
     return heads, [
         (
             row["choice"], f"{row['time_s']:.0f}", f"{row['length_m']:.0f}", f"{row['unusable_s']:.1f}",
-            f"{100.0 * row['same']:.0f} %", *(_text(row["less"][m], 1.0, "") for m in ("unusable_s", "time_s")),
-            *(_text(row[name], 100.0, " %") for name in ("gain_cost", "gain_unusable")),
-        )
-        if row["choice"] != "shortest"
-        else (
-            row["choice"], f"{row['time_s']:.0f}", f"{row['length_m']:.0f}", f"{row['unusable_s']:.1f}",
-            "", "", "", "", "",
+            f"{100.0 * row['same']:.0f} %",
+            *(_text(row[name][m], 1.0, "") for name in ("less", "less_fastest") for m in ("unusable_s", "time_s")),
         )
         for row in result["choices"]
     ]  # fmt: skip
+
+
+def gains(result: Mapping[str, Any]) -> Table:
+    """Shares of the oracle's gain on the shortest route."""
+    heads = ("route", f"of time + {result['weight']:g} x unusable time", "of unusable time")
+    rows = [row for row in result["choices"] if row["choice"] not in ("shortest", "oracle")]
+    return heads, [
+        (row["choice"], *(_text(row[g], 100.0, " %") for g in ("gain_cost", "gain_unusable"))) for row in rows
+    ]
 
 
 def _text(interval: Sequence[float], factor: float, unit: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
+from lanebound.agents.cli.plan import plan
+from lanebound.integrity.sky.journeys.planner import MOST_UNUSABLE, WEIGHT
 from lanebound.integrity.sky.maps.generated import generated_map
 
 SEED = 0
@@ -40,7 +43,7 @@ def test_a_plan_has_routes_hours_and_a_picture(tmp_path: Path) -> None:
     ("name", "origin", "destination", "more", "said"),
     [
         ("generated:0", "here", "35.666,139.792", (), "--from must be LAT,LON"),
-        ("generated:0", "52.5,13.4", "35.666,139.792", (), "--from must lie in the map"),
+        ("generated:0", "52.5,13.4", "35.666,139.792", (), "--from must lie in the map's connected streets"),
         ("generated:0", "35.666,139.792", "139.792,35.666", (), "--to must be LAT,LON"),
         ("generated:0", "35.666,139.792", "35.666,139.792", (), "--from and --to must differ"),
         ("generated:-3", "35.666,139.792", "35.667,139.793", (), "generated:SEED"),
@@ -52,3 +55,9 @@ def test_refusals(name: str, origin: str, destination: str, more: tuple[str, ...
     result = CliRunner().invoke(app, ["plan", name, "--from", origin, "--to", destination, *more])
     assert result.exit_code != 0
     assert said in str(result.exception) + result.output
+
+
+def test_the_options_have_the_defaults_of_the_planner() -> None:
+    given = inspect.signature(plan).parameters
+    assert given["weight"].default == WEIGHT
+    assert given["most_unusable"].default == MOST_UNUSABLE

@@ -66,7 +66,8 @@ def place_on(graph: StreetGraph, place_en_m: ArrayLike, name: str = "place") -> 
     share, away = _foot(graph.edges[nearest].points_en_m, at)
     if away > FARTHEST_M:
         raise InputError(
-            f"{name} must lie within {FARTHEST_M:g} m of a street of the map, got {away:.0f} m: outside of the map"
+            f"{name} must lie within {FARTHEST_M:g} m of the connected streets of the map, got {away:.0f} m: it is "
+            "outside of the map"
         )
     both = [nearest, *(k for k in known if graph.edges[nearest].turns_back(graph.edges[k]))]
     return StreetPlace(tuple(both), (share, *(1.0 - share for _ in both[1:])))
