@@ -87,13 +87,15 @@ def load(key: str, lanes: LaneMap) -> Street | None:
             city = City(data["triangles"], data["surface"], material=data["material"])
             mask = SkyMask.of_rows(rows_in(data), key)
             forecast = SkyForecast(data["free"], mask.azimuths, mask.elevations, mask.spacing_m)
+        with suppress(OSError):
+            os.utime(place / f"{key}.npz")  # those used last are kept
     except (OSError, EOFError, KeyError, ValueError, BadZipFile, zlib.error):
         return None
     return Street(mask, forecast, city, lanes)
 
 
 def save(key: str, street: Street) -> None:
-    """Write a street to disk atomically; only the newest files are kept, up to 1 GiB."""
+    """Write a street to disk atomically; only the files used last are kept, up to 1 GiB."""
     place = folder()
     if place is None:
         return

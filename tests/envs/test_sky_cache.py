@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import OrderedDict
 from dataclasses import replace
 from pathlib import Path
@@ -104,3 +105,15 @@ def test_memory_and_disk_are_bounded(place: Path, monkeypatch: pytest.MonkeyPatc
     kept = list(place.iterdir())
     assert len(kept) >= 2
     assert sum(file.stat().st_size for file in kept) <= 4 * size
+
+
+def test_a_street_that_is_loaded_is_kept_longer_than_one_that_is_not(place, monkeypatch):
+    for seed in (1, 2):
+        build_street(road(), LEVEL, seed)
+    for age, file in enumerate(sorted(place.glob("*.npz"))):
+        os.utime(file, (1000.0 + age, 1000.0 + age))
+    oldest = min(place.glob("*.npz"), key=lambda file: file.stat().st_mtime)
+    cache._recent.clear()
+    for seed in (1, 2):
+        build_street(road(), LEVEL, seed)
+    assert oldest.stat().st_mtime > 2000.0
