@@ -182,6 +182,16 @@ def test_a_covered_street_is_a_tunnel_and_a_bridge_stands_above(tmp_path: Path) 
     assert (~up.clear).mean() > 0.9
 
 
+def test_without_a_closed_way_the_map_or_the_places_are_named(tmp_path: Path) -> None:
+    file = str(blocks(tmp_path / "map.osm"))
+    frame = map_of(file).frame
+    same = [frame.lat_lon_of([0.0, 0.0]).tolist()] * 2
+    with pytest.raises(InputError, match=r"world\.via must be places of .* that a closed way joins"):
+        road(file, via=same)
+    with pytest.raises(InputError, match=r"world\.map must hold a closed way that can be driven, got none"):
+        road(str(blocks(tmp_path / "line.osm", rows=1)))
+
+
 def test_by_way_of_places() -> None:
     frame, longest = map_of(MAP).frame, road()
     stops = [frame.lat_lon_of(part[50, :2]).tolist() for part in poses(longest)[:2]]
@@ -200,7 +210,10 @@ def test_by_way_of_places() -> None:
         ({"map": MAP, "via": [["a", 1], [2, 3]]}, r"world\.via must be two places or more"),
         ({"map": MAP, "via": [[52.5, 13.4], [52.5, 13.4, 40]]}, r"world\.via must be two places or more"),
         ({"map": MAP, "via": [[52.5, 13.4], [52.5, 213.4]]}, r"world\.via must be two places or more"),
-        ({"map": MAP, "via": [[0.0, 0.0], [1.0, 1.0]]}, r"world\.route must be below 0 .* no more closed ways lead"),
+        ({"map": MAP, "via": [[95.0, 13.4], [52.5, 13.4]]}, r"world\.via must be two places or more"),
+        ({"map": MAP, "via": [[0.0, 0.0], [1.0, 1.0]]}, r"world\.via\.0 must lie within 200 m of a street"),
+        ({"map": MAP, "via": [[13.4, 52.5]] * 2}, r"world\.via\.0 must lie within 200 m .* write latitude, longitude"),
+        ({"map": MAP, "via": [[52.5, 13.4]] * 9}, r"world\.via must hold at most 8 places, got 9"),
         ({"map": MAP, "via": 3}, r"world\.via must be two places or more"),
         ({"map": MAP, "via": [[52.5, float("nan")], [52.5, 13.4]]}, r"world\.via\.0\.1 must be finite, got nan"),
         ({"route": 1}, r"must be left out without world\.map"),

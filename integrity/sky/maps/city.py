@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from lanebound.integrity.sky.city import StreetConfig
 from lanebound.integrity.sky.maps.polygons import crossing, inside, triangulated
@@ -28,11 +29,9 @@ OVER_M = 12.0  # length of a bridge on both sides of the middle of the way below
 def city_of(streets: StreetMap, way_en_m: Array | None = None) -> City:
     """Buildings and trees of a map; with a way (n, 2) [m] only those within 500 m of its bounding box."""
     low, high = (-np.inf, np.inf) if way_en_m is None else (way_en_m.min(0) - REACH_M, way_en_m.max(0) + REACH_M)
-    solids = [
-        one
-        for one in streets.solids
-        if np.all(one.rings_en_m[0].max(0) >= low) and np.all(one.rings_en_m[0].min(0) <= high)
-    ]
+    boxes = streets.boxes_en_m
+    near = np.all(boxes[:, 2:] >= low, axis=1) & np.all(boxes[:, :2] <= high, axis=1)
+    solids = [streets.solids[k] for k in np.flatnonzero(near)]
     prisms_of = [_prism(one) for one in solids]
     number = np.repeat([one.building for one in solids], list(map(len, prisms_of))).astype(np.int64)
     walls = np.concatenate([np.zeros((0, 3, 3)), *prisms_of])
@@ -96,18 +95,18 @@ def bridges_above(streets: StreetMap, way_en_m: Array, ways: Sequence[StreetWay]
     return City.of(np.concatenate(decks))
 
 
-def in_buildings(points_en_m: ArrayLike, solids: Sequence[Solid]) -> NDArray[np.bool_]:
+def in_buildings(points_en_m: ArrayLike, streets: StreetMap) -> NDArray[np.bool_]:
     """Whether places lie in the outline of a building that leaves no passage of 4.5 m below it.  (n, 2) [m] -> (n,)."""
     points = np.asarray(points_en_m, dtype=np.float64)
     hit = np.zeros(len(points), dtype=np.bool_)
-    order = np.argsort(points[:, 0], kind="stable")
-    sorted_m = points[order, 0]
-    for solid in solids:
-        if solid.bottom_m >= CLEARANCE_M:
-            continue
-        low, high = solid.rings_en_m[0].min(0), solid.rings_en_m[0].max(0)
-        near = order[np.searchsorted(sorted_m, low[0]) : np.searchsorted(sorted_m, high[0], side="right")]
-        near = near[(points[near, 1] >= low[1]) & (points[near, 1] <= high[1])]
+    low, high = streets.boxes_en_m[:, :2], streets.boxes_en_m[:, 2:]
+    middle, half = 0.5 * (low + high), 0.5 * (high - low).max(1)
+    grounded = np.array([solid.bottom_m < CLEARANCE_M for solid in streets.solids], dtype=np.bool_)
+    tree = cKDTree(points)
+    count = tree.query_ball_point(middle, half, p=np.inf, return_length=True)
+    for k in np.flatnonzero(grounded & (count > 0)):
+        near = np.array(tree.query_ball_point(middle[k], half[k], p=np.inf))
+        near = near[~hit[near] & np.all((points[near] >= low[k]) & (points[near] <= high[k]), axis=1)]
         if near.size:
-            hit[near] |= inside(points[near], solid.rings_en_m)
+            hit[near] = inside(points[near], streets.solids[k].rings_en_m)
     return hit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildin
 from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.maps.osm import read_osm
 from lanebound.integrity.sky.maps.polygons import inside
-from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, StreetMap, StreetWay, Tree
+from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, Solid, StreetMap, StreetWay, Tree
 from lanebound.integrity.sky.raytrace import first_hits
 from lanebound.integrity.sky.scene import City
 
@@ -88,7 +89,19 @@ def test_roofs_are_where_and_as_high_as_the_buildings(tmp_path: Path) -> None:
     assert np.isnan(seen[~built]).all()
     low = np.array([solid.bottom_m < 4.5 for solid in found.solids])
     assert low.mean() > 0.9
-    assert np.all(built[in_buildings(places, found.solids)])
+    assert np.all(built[in_buildings(places, found)])
+
+
+def test_many_outlines_and_places_take_seconds() -> None:
+    rng = np.random.default_rng(3)
+    corners = rng.uniform(-5000.0, 5000.0, (50_000, 2))
+    unit = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)])
+    solids = tuple(Solid((unit + corner,), 0.0, 9.0, k) for k, corner in enumerate(corners))
+    places = rng.uniform(-5000.0, 5000.0, (100_000, 2))
+    begin = time.process_time()
+    found = in_buildings(places, StreetMap(MapFrame(52.5, 13.4), solids=solids))
+    assert time.process_time() - begin < 20.0
+    assert found.mean() == pytest.approx(1.0 - np.exp(-0.05), abs=0.003)  # share of a plane below random squares
 
 
 def test_walls_leave_no_gap() -> None:

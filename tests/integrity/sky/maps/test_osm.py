@@ -107,6 +107,16 @@ def test_trees_and_rows_of_trees(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff([tree.east_m for tree in rest]), 8.0, atol=CM)
 
 
+def test_long_rows_of_trees_are_refused_before_they_are_planted(tmp_path: Path) -> None:
+    zigzag = [(-4000.0 + 4.0 * k, 6000.0 * (-1) ** k) for k in range(2000)]
+    row = [node(1 + k, *place) for k, place in enumerate(zigzag)]
+    street = [node(5000 + k, 9.0 * k, 0.0) for k in range(9)]
+    ways = way(9, list(range(1, 2001)), {"natural": "tree_row"}), way(8, range(5000, 5009), {"highway": "primary"})
+    text = osm(*row, *street, *ways)
+    with pytest.raises(InputError, match="at most 500000 trees, got more"):
+        read_osm(written(tmp_path, text))
+
+
 def test_outlines_that_are_none_are_counted(tmp_path: Path) -> None:
     bow = [(0.0, 0.0), (10.0, 10.0), (10.0, 0.0), (0.0, 10.0)]
     rings = [square(20.0, 20.0, 10.0), bow, [(40.0, 20.0), (50.0, 20.0), (60.0, 20.0)], square(20.0, 40.0, 10.0)]
@@ -177,6 +187,10 @@ def test_too_much_is_refused_before_it_is_kept(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(reader, "MOST_OBJECTS", {"streets": 4, "outlines": 1, "trees": 1, "points": 100})
     with pytest.raises(InputError, match="at most 4 streets, got more: cut a part"):
         read_osm(blocks(tmp_path / "map.osm"))
+    deck = way(1, [901, 902], {"railway": "rail", "bridge": "yes"})
+    monkeypatch.setattr(reader, "MOST_OBJECTS", {"points": 3})
+    with pytest.raises(InputError, match="at most 3 points, got more"):
+        read_osm(written(tmp_path, osm(*STREET, deck), "deck.osm"))
     monkeypatch.setattr(reader, "LARGEST_BYTES", 100)
     with pytest.raises(InputError, match="must have 1 to 100 bytes"):
         read_osm(tmp_path / "map.osm")
