@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.city import StreetConfig
 from lanebound.integrity.sky.maps.polygons import crossing, inside, triangulated
 from lanebound.integrity.sky.maps.records import Solid, StreetMap, StreetWay, Tree
@@ -22,6 +23,7 @@ CLEARANCE_M = 4.5  # of passages below buildings: as high as vehicles may be (St
 REACH_M = 500.0  # from a way: what is farther is below 10 degrees of elevation up to a height of 88 m
 TREE = StreetConfig()  # sizes of trees of generated streets, where the map says nothing
 DECK_M = 1.5  # thickness of a bridge, as of generated overpasses
+MOST_TESTS = 10**10  # a minute or two; a city of 200,000 buildings has some 10^8
 UPPER = np.array([(False, False, True), (False, True, True)])  # corners of the two triangles of a wall
 OVER_M = 12.0  # length of a bridge on both sides of the middle of the way below it; chosen
 
@@ -96,15 +98,29 @@ def bridges_above(streets: StreetMap, way_en_m: Array, ways: Sequence[StreetWay]
 
 
 def in_buildings(points_en_m: ArrayLike, streets: StreetMap) -> NDArray[np.bool_]:
-    """Whether places lie in the outline of a building that leaves no passage of 4.5 m below it.  (n, 2) [m] -> (n,)."""
+    """Whether places lie in the outline of a building that leaves no passage of 4.5 m below it.  (n, 2) [m] -> (n,).
+
+    Raises
+    ------
+    InputError
+        Large outlines lie one over the other, so that the work would take minutes.
+    """
     points = np.asarray(points_en_m, dtype=np.float64)
     hit = np.zeros(len(points), dtype=np.bool_)
+    if not points.size:
+        return hit
     low, high = streets.boxes_en_m[:, :2], streets.boxes_en_m[:, 2:]
-    middle, half = 0.5 * (low + high), 0.5 * (high - low).max(1)
-    grounded = np.array([solid.bottom_m < CLEARANCE_M for solid in streets.solids], dtype=np.bool_)
-    tree = cKDTree(points)
-    count = tree.query_ball_point(middle, half, p=np.inf, return_length=True)
-    for k in np.flatnonzero(grounded & (count > 0)):
+    here = np.flatnonzero(np.all((high >= points.min(0)) & (low <= points.max(0)), axis=1))
+    here = here[[streets.solids[k].bottom_m < CLEARANCE_M for k in here]]
+    tree, middle, half = cKDTree(points), 0.5 * (low + high), 0.5 * (high - low).max(1)
+    count = tree.query_ball_point(middle[here], half[here], p=np.inf, return_length=True)
+    here, count = here[count > 0], count[count > 0]
+    tests = sum(int(n) * sum(map(len, streets.solids[k].rings_en_m)) for k, n in zip(here, count, strict=True))
+    if tests > MOST_TESTS:
+        raise InputError(
+            f"map must need at most {MOST_TESTS:.0e} tests of places by sides of outlines, got {tests:.0e}: cut a part"
+        )
+    for k in here:
         near = np.array(tree.query_ball_point(middle[k], half[k], p=np.inf))
         near = near[~hit[near] & np.all((points[near] >= low[k]) & (points[near] <= high[k]), axis=1)]
         if near.size:
