@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 from osm_files import blocks, node, osm, way
+from recordings import real
 
 from lanebound.envs.registration import make_config
 from lanebound.envs.scene import alert_limits_m, navigator_config
@@ -30,7 +31,6 @@ from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.raytrace import first_hits
 
 ID, MAP = "lanebound/UrbanCanyon-v0", "berlin_kreuzberg"
-DATA = Path("/work/shared/data/maps_osm")
 IDLE, SLOWER = 1, 4
 
 
@@ -80,9 +80,7 @@ def test_bends_can_be_driven_and_keep_to_the_streets(route: int) -> None:
 
 @pytest.mark.parametrize("name", [MAP, "berlin_neukoelln.osm.gz"])
 def test_no_station_of_any_way_lies_in_a_building(name: str) -> None:
-    if name != MAP and not DATA.is_dir():
-        pytest.skip("the extracts are not here")
-    file = name if name == MAP else str(DATA / name)
+    file = name if name == MAP else str(real("maps_osm") / name)
     for of in map_roads(file):
         places = np.concatenate(poses(of))[:, :2]
         up = first_hits(of.city.grid, np.column_stack([places, np.full(len(places), 1.5)]), np.array([0.0, 0.0, 1.0]))

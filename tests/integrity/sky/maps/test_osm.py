@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from osm_files import PLACE, STREET, blocks, node, osm, relation, square, way, with_outlines
+from recordings import real
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps import osm as reader
@@ -21,7 +22,6 @@ from lanebound.integrity.sky.maps.osm import read_osm
 from lanebound.integrity.sky.maps.records import MapFrame, Restriction
 from lanebound.integrity.sky.maps.tags import DRIVABLE
 
-DATA = Path("/work/shared/data/maps_osm")
 CM = 0.02  # places have seven digits of a degree
 
 
@@ -243,17 +243,17 @@ def test_the_packaged_map_names_its_license_and_no_author() -> None:
     assert {one.user for one in osmium.FileProcessor(str(file))} == {""}
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the extracts are not here")
 @pytest.mark.parametrize("name", ["berlin_kreuzberg", "berlin_neukoelln"])
 def test_counts_are_those_of_the_xml(name: str) -> None:
-    root = ET.fromstring(gzip.decompress((DATA / f"{name}.osm.gz").read_bytes()))
+    file = real("maps_osm") / f"{name}.osm.gz"
+    root = ET.fromstring(gzip.decompress(file.read_bytes()))
     tags = [{t.get("k"): t.get("v") for t in one.iter("tag")} for one in root.iter("way")]
     closed = {"access": ("private", "no"), "motor_vehicle": ("private", "no"), "vehicle": ("no",)}
     streets = [
         t for t in tags if t.get("highway") in DRIVABLE and not any(t.get(key) in bad for key, bad in closed.items())
     ]
     outlines = [t for t in tags if t.get("building", "no") != "no" or t.get("building:part", "no") != "no"]
-    found = read_osm(DATA / f"{name}.osm.gz")
+    found = read_osm(file)
     assert found.found["streets"] == len(streets)
     assert Counter(street.kind for street in found.streets) <= Counter(t["highway"] for t in streets)
     assert found.found["outlines of buildings"] >= len(outlines)  # and those of relations
