@@ -27,8 +27,8 @@ from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_street
 from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildings
 from lanebound.integrity.sky.maps.files import map_of
-from lanebound.integrity.sky.maps.graph import StreetGraph
-from lanebound.integrity.sky.maps.loops import ClosedWay, along, loops_of, loops_via
+from lanebound.integrity.sky.maps.graph import StreetGraph, distance_m
+from lanebound.integrity.sky.maps.loops import FAR_M, ClosedWay, along, loops_of, loops_via
 from lanebound.integrity.sky.maps.polygons import crossing
 from lanebound.integrity.sky.maps.records import StreetMap, StreetWay
 from lanebound.integrity.sky.road import Road
@@ -56,6 +56,7 @@ REACH_M = 2000.0  # from the middle of a map, or from the places of a way: a lon
 LANE_WIDTH_M = 3.25  # of worlds, if none is given
 ROADS = 4  # at least, where there are straights
 ROAD_M = 1500.0  # between the wished ends of longer ones: roads end on straights, and the sky of one ends at 2500 m
+MOST_VIA = 8  # both directions of each are tried
 UNIT_M = 100.0
 BLUNT = 1.0 / 3.0  # share of the other turn, below which a corner is left out for its neighbour
 FLAT = radians(0.2)  # of a turn that is none
@@ -110,13 +111,15 @@ def map_road_of(world: Mapping[str, Any]) -> MapRoad | None:
         raise ConfigError(f"world.map must be a packaged map or a file, got {name!r}: write its name")
     if not (isinstance(via, list | tuple) and all(map(_is_place, via)) and len(via) != 1):
         raise ConfigError(f"world.via must be two places or more, each [latitude, longitude], got {via!r}: correct it")
+    if len(via) > MOST_VIA:
+        raise ConfigError(f"world.via must hold at most {MOST_VIA} places, got {len(via)}: leave some out")
     return _road(name, map_of(name), world["route"], tuple(map(tuple, via)), world["lane_width"])
 
 
 def _is_place(place: Any) -> bool:
     """Whether a value is a latitude and a longitude [deg]."""
     two = isinstance(place, list | tuple) and len(place) == 2
-    return two and all(isinstance(v, int | float) and abs(v) <= 180.0 for v in place)
+    return two and all(isinstance(v, int | float) and abs(v) <= most for v, most in zip(place, (90, 180), strict=True))
 
 
 def map_place(world: Mapping[str, Any]) -> dict[str, Any]:
@@ -142,7 +145,19 @@ def map_roads(name: str, width_m: float = LANE_WIDTH_M, most: int = 8) -> list[M
 
 @lru_cache(maxsize=16)
 def _road(name: str, streets: StreetMap, route: int, via: tuple[Place, ...], width_m: float) -> MapRoad:
+    for k, place in enumerate(via):
+        at = streets.frame.en_of(*place)
+        away_m = min(distance_m(street.points_en_m, at) for street in streets.streets)
+        if away_m > FAR_M:
+            raise ConfigError(
+                f"world.via.{k} must lie within {FAR_M:g} m of a street of {name}, got {list(place)}, {away_m:.0f} m "
+                "away: write latitude, longitude"
+            )
     found = list(_fitted(streets, _graph(streets), via, width_m, route + 1))
+    if not found and via:
+        raise ConfigError(f"world.via must be places of {name} that a closed way joins, got {via!r}: choose others")
+    if not found:
+        raise ConfigError(f"world.map must hold a closed way that can be driven, got none in {name}: cut a larger part")
     if len(found) <= route:
         reason = "no more closed ways lead by these places" if via else "the map has no more closed ways"
         raise ConfigError(f"world.route must be below {len(found)} in {name}, got {route}: {reason}, choose another")
@@ -369,7 +384,7 @@ def _is_free(streets: StreetMap, line: _LaneLine, lanes: int, width_m: float) ->
     en = enu_of(np.array(places))
     for run in _covered_runs(line):
         en = en[cKDTree(along(run, 1.0)).query(en)[0] > lanes * width_m]
-    return not in_buildings(en, streets.solids).any()
+    return not in_buildings(en, streets).any()
 
 
 def _covered_runs(line: _LaneLine) -> list[Array]:

@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 from osm_files import blocks, node, osm, way
+from recordings import real
 
 from lanebound.envs.registration import make_config
 from lanebound.envs.scene import alert_limits_m, navigator_config
@@ -30,7 +31,6 @@ from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.raytrace import first_hits
 
 ID, MAP = "lanebound/UrbanCanyon-v0", "berlin_kreuzberg"
-DATA = Path("/work/shared/data/maps_osm")
 IDLE, SLOWER = 1, 4
 
 
@@ -80,9 +80,7 @@ def test_bends_can_be_driven_and_keep_to_the_streets(route: int) -> None:
 
 @pytest.mark.parametrize("name", [MAP, "berlin_neukoelln.osm.gz"])
 def test_no_station_of_any_way_lies_in_a_building(name: str) -> None:
-    if name != MAP and not DATA.is_dir():
-        pytest.skip("the extracts are not here")
-    file = name if name == MAP else str(DATA / name)
+    file = name if name == MAP else str(real("maps_osm") / name)
     for of in map_roads(file):
         places = np.concatenate(poses(of))[:, :2]
         up = first_hits(of.city.grid, np.column_stack([places, np.full(len(places), 1.5)]), np.array([0.0, 0.0, 1.0]))
@@ -182,6 +180,16 @@ def test_a_covered_street_is_a_tunnel_and_a_bridge_stands_above(tmp_path: Path) 
     assert (~up.clear).mean() > 0.9
 
 
+def test_without_a_closed_way_the_map_or_the_places_are_named(tmp_path: Path) -> None:
+    file = str(blocks(tmp_path / "map.osm"))
+    frame = map_of(file).frame
+    same = [frame.lat_lon_of([0.0, 0.0]).tolist()] * 2
+    with pytest.raises(InputError, match=r"world\.via must be places of .* that a closed way joins"):
+        road(file, via=same)
+    with pytest.raises(InputError, match=r"world\.map must hold a closed way that can be driven, got none"):
+        road(str(blocks(tmp_path / "line.osm", rows=1)))
+
+
 def test_by_way_of_places() -> None:
     frame, longest = map_of(MAP).frame, road()
     stops = [frame.lat_lon_of(part[50, :2]).tolist() for part in poses(longest)[:2]]
@@ -200,7 +208,10 @@ def test_by_way_of_places() -> None:
         ({"map": MAP, "via": [["a", 1], [2, 3]]}, r"world\.via must be two places or more"),
         ({"map": MAP, "via": [[52.5, 13.4], [52.5, 13.4, 40]]}, r"world\.via must be two places or more"),
         ({"map": MAP, "via": [[52.5, 13.4], [52.5, 213.4]]}, r"world\.via must be two places or more"),
-        ({"map": MAP, "via": [[0.0, 0.0], [1.0, 1.0]]}, r"world\.route must be below 0 .* no more closed ways lead"),
+        ({"map": MAP, "via": [[95.0, 13.4], [52.5, 13.4]]}, r"world\.via must be two places or more"),
+        ({"map": MAP, "via": [[0.0, 0.0], [1.0, 1.0]]}, r"world\.via\.0 must lie within 200 m of a street"),
+        ({"map": MAP, "via": [[13.4, 52.5]] * 2}, r"world\.via\.0 must lie within 200 m .* write latitude, longitude"),
+        ({"map": MAP, "via": [[52.5, 13.4]] * 9}, r"world\.via must hold at most 8 places, got 9"),
         ({"map": MAP, "via": 3}, r"world\.via must be two places or more"),
         ({"map": MAP, "via": [[52.5, float("nan")], [52.5, 13.4]]}, r"world\.via\.0\.1 must be finite, got nan"),
         ({"route": 1}, r"must be left out without world\.map"),

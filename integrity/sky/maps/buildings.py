@@ -156,10 +156,10 @@ def _add(
     tags, kind = outline.tags, outline.kind
     if "height" in tags and tg.metres(tags["height"], LOWEST_M) is None:
         assumed["heights that are no heights"] += 1
-    top = _top_m(tags)
+    top, source = _top_m(tags), tags
     if top is None and outline.is_part:
-        top = _top_m(base)
-    if top is not None and tg.metres(tags.get("height", base.get("height")), LOWEST_M) is None:
+        top, source = _top_m(base), base
+    if top is not None and tg.metres(source.get("height"), LOWEST_M) is None:
         assumed[f"storeys of {STOREY_M:g} m"] += 1
     if top is None:
         top = LOW_M if kind in LOW_KINDS else usual_m

@@ -7,7 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.city import StreetConfig
 from lanebound.integrity.sky.maps.polygons import crossing, inside, triangulated
 from lanebound.integrity.sky.maps.records import Solid, StreetMap, StreetWay, Tree
@@ -21,6 +23,7 @@ CLEARANCE_M = 4.5  # of passages below buildings: as high as vehicles may be (St
 REACH_M = 500.0  # from a way: what is farther is below 10 degrees of elevation up to a height of 88 m
 TREE = StreetConfig()  # sizes of trees of generated streets, where the map says nothing
 DECK_M = 1.5  # thickness of a bridge, as of generated overpasses
+MOST_TESTS = 10**10  # a minute or two; a city of 200,000 buildings has some 10^8
 UPPER = np.array([(False, False, True), (False, True, True)])  # corners of the two triangles of a wall
 OVER_M = 12.0  # length of a bridge on both sides of the middle of the way below it; chosen
 
@@ -28,11 +31,9 @@ OVER_M = 12.0  # length of a bridge on both sides of the middle of the way below
 def city_of(streets: StreetMap, way_en_m: Array | None = None) -> City:
     """Buildings and trees of a map; with a way (n, 2) [m] only those within 500 m of its bounding box."""
     low, high = (-np.inf, np.inf) if way_en_m is None else (way_en_m.min(0) - REACH_M, way_en_m.max(0) + REACH_M)
-    solids = [
-        one
-        for one in streets.solids
-        if np.all(one.rings_en_m[0].max(0) >= low) and np.all(one.rings_en_m[0].min(0) <= high)
-    ]
+    boxes = streets.boxes_en_m
+    near = np.all(boxes[:, 2:] >= low, axis=1) & np.all(boxes[:, :2] <= high, axis=1)
+    solids = [streets.solids[k] for k in np.flatnonzero(near)]
     prisms_of = [_prism(one) for one in solids]
     number = np.repeat([one.building for one in solids], list(map(len, prisms_of))).astype(np.int64)
     walls = np.concatenate([np.zeros((0, 3, 3)), *prisms_of])
@@ -96,18 +97,32 @@ def bridges_above(streets: StreetMap, way_en_m: Array, ways: Sequence[StreetWay]
     return City.of(np.concatenate(decks))
 
 
-def in_buildings(points_en_m: ArrayLike, solids: Sequence[Solid]) -> NDArray[np.bool_]:
-    """Whether places lie in the outline of a building that leaves no passage of 4.5 m below it.  (n, 2) [m] -> (n,)."""
+def in_buildings(points_en_m: ArrayLike, streets: StreetMap) -> NDArray[np.bool_]:
+    """Whether places lie in the outline of a building that leaves no passage of 4.5 m below it.  (n, 2) [m] -> (n,).
+
+    Raises
+    ------
+    InputError
+        Large outlines lie one over the other, so that the work would take minutes.
+    """
     points = np.asarray(points_en_m, dtype=np.float64)
     hit = np.zeros(len(points), dtype=np.bool_)
-    order = np.argsort(points[:, 0], kind="stable")
-    sorted_m = points[order, 0]
-    for solid in solids:
-        if solid.bottom_m >= CLEARANCE_M:
-            continue
-        low, high = solid.rings_en_m[0].min(0), solid.rings_en_m[0].max(0)
-        near = order[np.searchsorted(sorted_m, low[0]) : np.searchsorted(sorted_m, high[0], side="right")]
-        near = near[(points[near, 1] >= low[1]) & (points[near, 1] <= high[1])]
+    if not points.size:
+        return hit
+    low, high = streets.boxes_en_m[:, :2], streets.boxes_en_m[:, 2:]
+    here = np.flatnonzero(np.all((high >= points.min(0)) & (low <= points.max(0)), axis=1))
+    here = here[[streets.solids[k].bottom_m < CLEARANCE_M for k in here]]
+    tree, middle, half = cKDTree(points), 0.5 * (low + high), 0.5 * (high - low).max(1)
+    count = tree.query_ball_point(middle[here], half[here], p=np.inf, return_length=True)
+    here, count = here[count > 0], count[count > 0]
+    tests = sum(int(n) * sum(map(len, streets.solids[k].rings_en_m)) for k, n in zip(here, count, strict=True))
+    if tests > MOST_TESTS:
+        raise InputError(
+            f"map must need at most {MOST_TESTS:.0e} tests of places by sides of outlines, got {tests:.0e}: cut a part"
+        )
+    for k in here:
+        near = np.array(tree.query_ball_point(middle[k], half[k], p=np.inf))
+        near = near[~hit[near] & np.all((points[near] >= low[k]) & (points[near] <= high[k]), axis=1)]
         if near.size:
-            hit[near] |= inside(points[near], solid.rings_en_m)
+            hit[near] = inside(points[near], streets.solids[k].rings_en_m)
     return hit

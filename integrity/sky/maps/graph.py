@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps.records import StreetMap, StreetWay
 
-__all__ = ["StreetEdge", "StreetGraph"]
+__all__ = ["StreetEdge", "StreetGraph", "distance_m"]
 
 Array = NDArray[np.float64]
 
@@ -141,7 +141,7 @@ class StreetGraph:
     def nearest(self, place_en_m: ArrayLike, among: Sequence[int]) -> int:
         """The edge nearest to a place, of some.  (2,) [m]."""
         place = np.asarray(place_en_m, dtype=np.float64)
-        return min(among, key=lambda k: (_distance_m(self.edges[k].points_en_m, place), k))
+        return min(among, key=lambda k: (distance_m(self.edges[k].points_en_m, place), k))
 
 
 def _rustworkx() -> Any:
@@ -153,8 +153,8 @@ def _rustworkx() -> Any:
     return rustworkx
 
 
-def _distance_m(line: Array, place: Array) -> float:
-    """Distance of a place from a line."""
+def distance_m(line: Array, place: Array) -> float:
+    """Distance of a place (2,) from a line (n, 2) [m]."""
     along = np.diff(line, axis=0)
     share = ((place - line[:-1]) * along).sum(1) / np.maximum((along * along).sum(1), 1e-12)
     foot = line[:-1] + np.clip(share, 0.0, 1.0)[:, None] * along

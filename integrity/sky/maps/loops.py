@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.maps.city import in_buildings
-from lanebound.integrity.sky.maps.graph import StreetEdge, StreetGraph
+from lanebound.integrity.sky.maps.graph import StreetEdge, StreetGraph, distance_m
 from lanebound.integrity.sky.maps.records import StreetMap
 
-__all__ = ["ClosedWay", "along", "loops_of", "loops_via", "through_buildings"]
+__all__ = ["FAR_M", "ClosedWay", "along", "loops_of", "loops_via", "through_buildings"]
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]
 
 DRAWS = 200  # pairs of edges between which loops are sought
 SAMPLE_M = 2.0
+FAR_M = 200.0  # of a place from the street that a way by it takes; chosen, about a block
 THROUGH = 0.02  # share of an open street inside of buildings, above which it is not driven; chosen
 
 
@@ -44,7 +45,7 @@ def through_buildings(streets: StreetMap, edges: Sequence[StreetEdge]) -> Array:
             places.append(along(edge.points_en_m, SAMPLE_M))
             owner.append(np.full(len(places[-1]), k))
     which = np.concatenate(owner)
-    hits = np.bincount(which, in_buildings(np.concatenate(places), streets.solids), len(edges))
+    hits = np.bincount(which, in_buildings(np.concatenate(places), streets), len(edges))
     return np.asarray(hits / np.maximum(np.bincount(which, minlength=len(edges)), 1))
 
 
@@ -68,11 +69,17 @@ def loops_of(streets: StreetMap, graph: StreetGraph) -> Iterator[ClosedWay]:
 
 
 def loops_via(streets: StreetMap, graph: StreetGraph, places_en_m: Sequence[Place]) -> Iterator[ClosedWay]:
-    """Loops by way of places (two or more), over the edges nearest to them, in either direction of each."""
+    """Loops by way of places (two or more), over the edges nearest to them, in either direction of each.
+
+    There is none if an edge is farther than 200 m. The directions of n places are tried in 2^n combinations.
+    """
     edges = _driven(streets, graph)
     barred = frozenset(range(len(graph.edges))) - set(edges)
-    near = [_both_directions(graph, graph.nearest(place, edges), edges) for place in places_en_m] if edges else []
-    for stops in product(*near) if near else ():
+    nearest = [graph.nearest(place, edges) for place in places_en_m] if edges else []
+    pairs = zip(nearest, places_en_m, strict=True) if edges else ()
+    if not edges or any(distance_m(graph.edges[k].points_en_m, np.array(place)) > FAR_M for k, place in pairs):
+        return
+    for stops in product(*(_both_directions(graph, k, edges) for k in nearest)):
         loop = _closed(graph, list(stops), barred)
         if loop is not None:
             yield ClosedWay(tuple(graph.edges[k] for k in loop))

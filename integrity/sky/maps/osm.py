@@ -34,7 +34,8 @@ SUFFIXES = (".osm", ".osm.gz", ".osm.pbf")
 LARGEST_BYTES = 64 * 2**20  # of a file; a million buildings
 LARGEST_TEXT_BYTES = 2**29  # of XML after decompression
 LARGEST_PBF_BYTES = 2**28  # after decompression: a node has 3 bytes at least there, and 16 in the memory
-MOST_OBJECTS = {"streets": 100_000, "outlines": 200_000, "trees": 500_000, "points": 5_000_000}
+MOST_OBJECTS = {"streets": 100_000, "bridges": 100_000, "outlines": 200_000, "trees": 500_000, "points": 5_000_000}
+MOST_TURNS = 100  # pairs of streets of one restriction
 REACH_M = 10_000.0  # from the middle; what lies farther is left out: the ground is taken for flat
 ROW_SPACING_M = 8.0  # between the trees of a row, as in generated streets with trees
 TREE_APART_M = 3.0  # trees of a row nearer to a mapped tree are that tree
@@ -59,13 +60,14 @@ class _Found:
 
     def require_moderate(self, file: Path) -> None:
         """Refuse a file with too many objects."""
-        sizes = {name: len(getattr(self, name)) for name in ("streets", "outlines", "trees")} | {"points": self.points}
-        for name, size in sizes.items():
-            if size > MOST_OBJECTS[name]:
-                raise InputError(
-                    f"map {file} must hold at most {MOST_OBJECTS[name]} {name}, got more: cut a part by "
-                    "'osmium extract --bbox'"
-                )
+        for name in MOST_OBJECTS:
+            _require_at_most(name, self.points if name == "points" else len(getattr(self, name)), file)
+
+
+def _require_at_most(name: str, count: int, file: Path) -> None:
+    most = MOST_OBJECTS[name]
+    if count > most:
+        raise InputError(f"map {file} must hold at most {most} {name}, got more: cut a part by 'osmium extract --bbox'")
 
 
 def read_osm(path: str | Path) -> StreetMap:
@@ -106,7 +108,7 @@ def read_osm(path: str | Path) -> StreetMap:
         tuple(streets),
         tuple(found.restrictions),
         tuple(solids_of(outlines, assumed, found.skipped)),
-        tuple(_trees(found, near, assumed)),
+        tuple(_trees(found, near, assumed, file)),
         tuple(bridges),
         found.count,
         +assumed,
@@ -196,12 +198,14 @@ def _add_way(found: _Found, way: Any, tags: dict[str, str]) -> None:
     missing = len(way.nodes) - len(line)
     if tags.get("natural") == "tree_row" and len(line) > 1:
         found.rows.append(line)
+        found.points += len(line)
         found.count["rows of trees"] += 1
     kind = tags.get("highway", tags.get("railway"))
     if kind is None or tags.get("area") == "yes":
         return
     if tags.get("bridge", "no") != "no" and len(line) > 1:
         found.bridges.append((nodes, line, tags))
+        found.points += len(line)
         found.count["bridges"] += 1
     if tags.get("highway") not in tg.DRIVABLE:
         if "highway" in tags:
@@ -239,13 +243,13 @@ def _add_restriction(found: _Found, relation: Any, tags: dict[str, str]) -> None
         roles.setdefault((member.type, member.role), []).append(member.ref)
     value, via = tags["restriction"], roles.get(("n", "via"), [])
     only, none = value.startswith("only_"), value.startswith("no_")
-    if {"motorcar", "motor_vehicle"} & set(tags.get("except", "").split(";")) or not (only or none) or len(via) != 1:
+    before, after = roles.get(("w", "from"), []), roles.get(("w", "to"), [])
+    not_cars = {"motorcar", "motor_vehicle"} & set(tags.get("except", "").split(";"))
+    if not_cars or not (only or none) or len(via) != 1 or len(before) * len(after) > MOST_TURNS:
         found.skipped["restrictions of turns by way, or not of cars"] += 1
         return
     found.count["restrictions of turns"] += 1
-    for before in roles.get(("w", "from"), []):
-        for after in roles.get(("w", "to"), []):
-            found.restrictions.append(Restriction(before, via[0], after, only))
+    found.restrictions += [Restriction(a, via[0], b, only) for a in before for b in after]
 
 
 def _near(frame: MapFrame, skipped: Counter[str], lines: Sequence[Sequence[Place]]) -> list[Array | None]:
@@ -288,7 +292,7 @@ def _street(number: int, nodes: list[int], line: Array, tags: tg.Tags, assumed: 
     )  # fmt: skip
 
 
-def _trees(found: _Found, near: _Plan, assumed: Counter[str]) -> list[Tree]:
+def _trees(found: _Found, near: _Plan, assumed: Counter[str], file: Path) -> list[Tree]:
     """Single trees, and those of rows where none is mapped."""
     out = []
     for (_, tags), at in zip(found.trees, near([[place] for place, _ in found.trees]), strict=True):
@@ -301,6 +305,7 @@ def _trees(found: _Found, near: _Plan, assumed: Counter[str]) -> list[Tree]:
         if line is None:
             continue
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        _require_at_most("trees", len(out) + int(arc[-1] / ROW_SPACING_M), file)
         at_m = np.arange(0.5 * min(ROW_SPACING_M, arc[-1]), arc[-1], ROW_SPACING_M)
         stands = np.stack([np.interp(at_m, arc, line[:, k]) for k in (0, 1)], -1)
         free = stands[mapped.query(stands)[0] > TREE_APART_M] if out else stands

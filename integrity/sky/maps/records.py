@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -147,3 +148,9 @@ class StreetMap:
     found: Counter[str] = field(default_factory=Counter)
     assumed: Counter[str] = field(default_factory=Counter)
     skipped: Counter[str] = field(default_factory=Counter)
+
+    @cached_property
+    def boxes_en_m(self) -> Array:
+        """Least East and North, largest East and North of each solid.  (S, 4)."""
+        rings = (solid.rings_en_m[0] for solid in self.solids)
+        return np.array([(*ring.min(0), *ring.max(0)) for ring in rings]).reshape(-1, 4)

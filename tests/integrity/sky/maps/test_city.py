@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from osm_files import square, with_outlines
 
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.sky.maps import city as obstacles
 from lanebound.integrity.sky.maps.buildings import STOREY_M, USUAL_M, Outline
 from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildings
 from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.maps.osm import read_osm
 from lanebound.integrity.sky.maps.polygons import inside
-from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, StreetMap, StreetWay, Tree
+from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, Solid, StreetMap, StreetWay, Tree
 from lanebound.integrity.sky.raytrace import first_hits
 from lanebound.integrity.sky.scene import City
 
@@ -71,6 +74,15 @@ def test_parts_take_the_place_of_their_outline(tmp_path: Path) -> None:
     assert sorted(solid.top_m for solid in found.solids) == [9.0, 40.0]  # a small part does not replace it
 
 
+def test_storeys_are_assumed_where_no_height_is_that_of_the_solid(tmp_path: Path) -> None:
+    outline = square(0.0, 20.0, 20.0)
+    halves = [[(begin + 0.5 * east, north) for east, north in outline] for begin in (0.0, 10.0)]
+    parts = {"building:part": "yes", "building:levels": "2"}, {"building:part": "yes"}
+    found = solids(tmp_path, {"building": "yes", "height": "40"}, *parts, rings=[outline, *halves])
+    assert sorted(solid.top_m for solid in found.solids) == [2 * STOREY_M, 40.0]
+    assert found.assumed["storeys of 3.6 m"] == 1
+
+
 def test_roofs_are_where_and_as_high_as_the_buildings(tmp_path: Path) -> None:
     found = map_of("berlin_kreuzberg")
     city = city_of(found)
@@ -88,7 +100,22 @@ def test_roofs_are_where_and_as_high_as_the_buildings(tmp_path: Path) -> None:
     assert np.isnan(seen[~built]).all()
     low = np.array([solid.bottom_m < 4.5 for solid in found.solids])
     assert low.mean() > 0.9
-    assert np.all(built[in_buildings(places, found.solids)])
+    assert np.all(built[in_buildings(places, found)])
+
+
+def test_many_outlines_and_places_take_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    corners = rng.uniform(-5000.0, 5000.0, (50_000, 2))
+    unit = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)])
+    solids = tuple(Solid((unit + corner,), 0.0, 9.0, k) for k, corner in enumerate(corners))
+    places = rng.uniform(-5000.0, 5000.0, (100_000, 2))
+    begin = time.process_time()
+    found = in_buildings(places, StreetMap(MapFrame(52.5, 13.4), solids=solids))
+    assert time.process_time() - begin < 20.0
+    assert found.mean() == pytest.approx(1.0 - np.exp(-0.05), abs=0.003)  # share of a plane below random squares
+    monkeypatch.setattr(obstacles, "MOST_TESTS", 1000)
+    with pytest.raises(InputError, match=r"at most 1e\+03 tests .*: cut a part"):
+        in_buildings(places, StreetMap(MapFrame(52.5, 13.4), solids=solids))
 
 
 def test_walls_leave_no_gap() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recordings import real
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import geodetic_from_ecef
@@ -16,7 +17,7 @@ from lanebound.integrity.sky.maps import city_models
 from lanebound.integrity.sky.maps.city_models import read_city_model
 from lanebound.integrity.sky.raytrace import first_hits
 
-DATA = Path("/work/shared/data/city3d_berlin_lod2")
+DATA = "city3d_berlin_lod2"
 HEAD = '<CityModel xmlns="http://www.opengis.net/citygml/1.0" xmlns:b="urn:b" xmlns:g="http://www.opengis.net/gml">'
 
 
@@ -159,12 +160,11 @@ def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         read_city_model(file)
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the models are not here")
 def test_a_recorded_drive_keeps_to_the_streets_of_berlins_model() -> None:
-    model = read_city_model(DATA / "berlin_open_data_sample_data.citygml.gz")
+    model = read_city_model(real(DATA) / "berlin_open_data_sample_data.citygml.gz")
     assert model.found["buildings"] == 61
     assert model.frame is not None
-    rows = [line.split()[2:5] for line in (DATA / "Berlin_Gendarmenmarkt_GT.txt").read_text().splitlines()]
+    rows = [line.split()[2:5] for line in (real(DATA) / "Berlin_Gendarmenmarkt_GT.txt").read_text().splitlines()]
     lat, lon, _ = geodetic_from_ecef(np.array(rows, dtype=np.float64))
     places = model.frame.en_of(np.rad2deg(lat), np.rad2deg(lon))
     corners = model.city.triangles_enu_m.reshape(-1, 3)
@@ -175,8 +175,7 @@ def test_a_recorded_drive_keeps_to_the_streets_of_berlins_model() -> None:
     assert np.ptp(corners[:, 2]) == pytest.approx(34.9, abs=0.1)
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the models are not here")
 def test_delft_in_cityjson() -> None:
-    model = read_city_model(DATA / "delft_lod1_cityjson.json.gz")
+    model = read_city_model(real(DATA) / "delft_lod1_cityjson.json.gz")
     assert (model.found["buildings"], model.frame) == (160, None)
     np.testing.assert_array_less(extent(model.city.triangles_enu_m), (526.0, 329.0, 18.0))

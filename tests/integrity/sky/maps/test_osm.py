@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from osm_files import PLACE, STREET, blocks, node, osm, relation, square, way, with_outlines
+from recordings import real
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps import osm as reader
@@ -21,7 +22,6 @@ from lanebound.integrity.sky.maps.osm import read_osm
 from lanebound.integrity.sky.maps.records import MapFrame, Restriction
 from lanebound.integrity.sky.maps.tags import DRIVABLE
 
-DATA = Path("/work/shared/data/maps_osm")
 CM = 0.02  # places have seven digits of a degree
 
 
@@ -107,6 +107,16 @@ def test_trees_and_rows_of_trees(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff([tree.east_m for tree in rest]), 8.0, atol=CM)
 
 
+def test_long_rows_of_trees_are_refused_before_they_are_planted(tmp_path: Path) -> None:
+    zigzag = [(-4000.0 + 4.0 * k, 6000.0 * (-1) ** k) for k in range(2000)]
+    row = [node(1 + k, *place) for k, place in enumerate(zigzag)]
+    street = [node(5000 + k, 9.0 * k, 0.0) for k in range(9)]
+    ways = way(9, list(range(1, 2001)), {"natural": "tree_row"}), way(8, range(5000, 5009), {"highway": "primary"})
+    text = osm(*row, *street, *ways)
+    with pytest.raises(InputError, match="at most 500000 trees, got more"):
+        read_osm(written(tmp_path, text))
+
+
 def test_outlines_that_are_none_are_counted(tmp_path: Path) -> None:
     bow = [(0.0, 0.0), (10.0, 10.0), (10.0, 0.0), (0.0, 10.0)]
     rings = [square(20.0, 20.0, 10.0), bow, [(40.0, 20.0), (50.0, 20.0), (60.0, 20.0)], square(20.0, 40.0, 10.0)]
@@ -177,6 +187,10 @@ def test_too_much_is_refused_before_it_is_kept(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(reader, "MOST_OBJECTS", {"streets": 4, "outlines": 1, "trees": 1, "points": 100})
     with pytest.raises(InputError, match="at most 4 streets, got more: cut a part"):
         read_osm(blocks(tmp_path / "map.osm"))
+    deck = way(1, [901, 902], {"railway": "rail", "bridge": "yes"})
+    monkeypatch.setattr(reader, "MOST_OBJECTS", {"points": 3})
+    with pytest.raises(InputError, match="at most 3 points, got more"):
+        read_osm(written(tmp_path, osm(*STREET, deck), "deck.osm"))
     monkeypatch.setattr(reader, "LARGEST_BYTES", 100)
     with pytest.raises(InputError, match="must have 1 to 100 bytes"):
         read_osm(tmp_path / "map.osm")
@@ -229,17 +243,17 @@ def test_the_packaged_map_names_its_license_and_no_author() -> None:
     assert {one.user for one in osmium.FileProcessor(str(file))} == {""}
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the extracts are not here")
 @pytest.mark.parametrize("name", ["berlin_kreuzberg", "berlin_neukoelln"])
 def test_counts_are_those_of_the_xml(name: str) -> None:
-    root = ET.fromstring(gzip.decompress((DATA / f"{name}.osm.gz").read_bytes()))
+    file = real("maps_osm") / f"{name}.osm.gz"
+    root = ET.fromstring(gzip.decompress(file.read_bytes()))
     tags = [{t.get("k"): t.get("v") for t in one.iter("tag")} for one in root.iter("way")]
     closed = {"access": ("private", "no"), "motor_vehicle": ("private", "no"), "vehicle": ("no",)}
     streets = [
         t for t in tags if t.get("highway") in DRIVABLE and not any(t.get(key) in bad for key, bad in closed.items())
     ]
     outlines = [t for t in tags if t.get("building", "no") != "no" or t.get("building:part", "no") != "no"]
-    found = read_osm(DATA / f"{name}.osm.gz")
+    found = read_osm(file)
     assert found.found["streets"] == len(streets)
     assert Counter(street.kind for street in found.streets) <= Counter(t["highway"] for t in streets)
     assert found.found["outlines of buildings"] >= len(outlines)  # and those of relations
