@@ -143,7 +143,7 @@ def drive_legs(
     for leg in legs:
         own = [stations.of(used.index(k)) for k in leg.edges]
         rows = np.concatenate([np.arange(one.start, one.stop) for one in own])
-        ways.append(_RouteWay.of([edges[k] for k in leg.edges], leg, stations, rows, config.drive, base.dt_s))
+        ways.append(RouteMotion.of([edges[k] for k in leg.edges], leg, stations, rows, config.drive, base.dt_s))
     wait = round(config.warm_up_s / base.dt_s)
     epochs = wait + max(way.speed_mps.size for way in ways) - 1
     track = SkyTrack.from_config(base.sky, epochs * base.dt_s + 60.0)
@@ -168,7 +168,7 @@ def drive_legs(
     return out
 
 
-class _RouteWay(NamedTuple):
+class RouteMotion(NamedTuple):
     """The motion of a vehicle, by epoch (K + 1,), from standing to standing; ``row`` of the stations of the mask."""
 
     length_m: float
@@ -181,7 +181,7 @@ class _RouteWay(NamedTuple):
     def of(
         cls, edges: Sequence[StreetEdge], leg: Leg, stations: EdgeStations, rows: NDArray[np.int64],
         drive: DriveConfig, dt_s: float,
-    ) -> _RouteWay:  # fmt: skip
+    ) -> RouteMotion:  # fmt: skip
         """The motion along edges."""
         road = Road.through(_lane_along(edges, leg), corner_radius_m=np.inf)
         near = cKDTree(stations.place_en_m[rows])
@@ -226,7 +226,7 @@ def _profile(road: Road, limit_mps: Array, drive: DriveConfig) -> Array:
     return speed
 
 
-def _truths(ways: Sequence[_RouteWay], wait: int, epochs: int, dt_s: float) -> Iterator[Truth]:
+def _truths(ways: Sequence[RouteMotion], wait: int, epochs: int, dt_s: float) -> Iterator[Truth]:
     """The truths of all vehicles, which stand before and after their drives."""
 
     def at(k: int) -> tuple[Array, Array, Array, Array]:

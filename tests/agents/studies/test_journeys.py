@@ -14,7 +14,7 @@ from lanebound.agents.cli import app
 from lanebound.agents.studies import journeys as study
 from lanebound.agents.studies.availability import AvailabilityConfig, fitted
 from lanebound.agents.studies.availability import work_city as work_training_city
-from lanebound.agents.studies.route_drives import Leg, _Way
+from lanebound.agents.studies.route_drives import Leg, RouteMotion
 from lanebound.integrity.motion.drive import DriveConfig
 from lanebound.integrity.sky.journeys.streets import EdgeStations
 from lanebound.integrity.sky.maps.generated import generated_map, map_seed
@@ -31,7 +31,7 @@ def test_a_vehicle_drives_from_standing_to_standing_within_limits(seed: int) -> 
     assert edges is not None
     stations = EdgeStations.along([graph.edges[k] for k in edges], 8.0)
     rows = np.arange(len(stations.part_m))
-    way = _Way.of([graph.edges[k] for k in edges], Leg(tuple(edges), 0.5, 0.5), stations, rows, drive, DT_S)
+    way = RouteMotion.of([graph.edges[k] for k in edges], Leg(tuple(edges), 0.5, 0.5), stations, rows, drive, DT_S)
     assert way.speed_mps[0] == pytest.approx(0.0, abs=0.1)
     assert way.speed_mps[-1] == pytest.approx(0.0, abs=0.1)
     assert np.all(way.speed_mps <= stations.speed_mps.max() + 1e-9)
