@@ -27,7 +27,9 @@ __all__ = ["Planner", "Route", "StreetPlace", "StreetsAhead", "energy_kwh", "pla
 
 Array = NDArray[np.float64]
 
-GAPS_S = (0.0, 1.0, 2.5, 5.0, 8.0, 12.0, 18.0, 28.0, 45.0, 80.0, 160.0, LONGEST_GAP_S)  # of classes; chosen
+# Of classes of gaps. A gap is of the nearest one, so steps are at most twice the time that a short street takes, up to 80
+# s, by when the probability hardly falls any further; chosen.
+GAPS_S = (*np.arange(0.0, 20.0, 1.0).tolist(), *np.arange(20.0, 81.0, 2.0).tolist(), 120.0, 200.0, LONGEST_GAP_S)
 WEIGHT = 3.0  # seconds of time that a second without a usable position counts as; chosen
 MOST_UNUSABLE = 0.25  # share of the time; chosen: of training cities all streets have 0.5, the best ones 0.12
 STEP_S = 0.25  # by which routes of a Pareto front differ at least in the time without a position; chosen
@@ -198,8 +200,8 @@ class StreetsAhead:
 
 
 def _class(gap_s: float) -> int:
-    """The class of a gap, by its logarithm."""
-    return int(np.argmin(np.abs(np.log1p(GAPS_S) - np.log1p(gap_s))))
+    """The class of a gap, the nearest one."""
+    return int(np.argmin(np.abs(np.array(GAPS_S) - gap_s)))
 
 
 class _Arc(NamedTuple):

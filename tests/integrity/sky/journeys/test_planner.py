@@ -13,7 +13,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.journeys.planner import Planner, Route, StreetPlace, StreetsAhead, energy_kwh, place_on
 from lanebound.integrity.sky.journeys.streets import EdgeStations
 from lanebound.integrity.sky.maps.graph import StreetGraph
-from lanebound.integrity.sky.maps.records import Frame, Restriction, StreetMap, StreetWay
+from lanebound.integrity.sky.maps.records import MapFrame, Restriction, StreetMap, StreetWay
 
 SIZE = 3
 STEP_M = 100.0
@@ -39,7 +39,7 @@ def street_grid(seed: int, restrictions: tuple[Restriction, ...] = ()) -> Street
                 continue
             points = np.array([divmod(a, SIZE), divmod(b, SIZE)], dtype=float) * STEP_M
             ways.append(StreetWay(len(ways), (a, b), points, "residential", 1, 1, None, float(rng.uniform(5.0, 15.0))))
-    return StreetMap(Frame(35.0, 139.0), tuple(ways), restrictions)
+    return StreetMap(MapFrame(35.0, 139.0), tuple(ways), restrictions)
 
 
 def ahead_of(streets: StreetMap, seed: int, dark: float = 0.5) -> StreetsAhead:
@@ -139,7 +139,7 @@ def test_refusals() -> None:
     with pytest.raises(InputError, match="outside of the map"):
         place_on(ahead.graph, (1000.0, 1000.0))
     one_way = StreetMap(
-        Frame(35.0, 139.0),
+        MapFrame(35.0, 139.0),
         (
             StreetWay(0, (0, 1), np.array([(0.0, 0.0), (100.0, 0.0)]), "residential", 1, 0, None, 10.0),
             StreetWay(1, (1, 2), np.array([(100.0, 0.0), (200.0, 0.0)]), "residential", 1, 0, None, 10.0),
@@ -153,7 +153,7 @@ def test_gaps_of_a_route_go_on_from_street_to_street() -> None:
     """One street of 100 m at 10 m/s without satellites, twice: the second part is entered with 10 s of gap."""
     points = np.array([(0.0, 0.0), (100.0, 0.0), (200.0, 0.0)])
     streets = StreetMap(
-        Frame(35.0, 139.0),
+        MapFrame(35.0, 139.0),
         tuple(StreetWay(k, (k, k + 1), points[k : k + 2], "residential", 1, 0, None, 10.0) for k in (0, 1)),
     )
     ahead = ahead_of(streets, 0, dark=2.0)
@@ -171,3 +171,19 @@ def test_gaps_of_a_route_go_on_from_street_to_street() -> None:
 def test_energy_is_rolling_resistance_and_drag() -> None:
     assert float(energy_kwh(1000.0, 0.0)) == pytest.approx(1500.0 * 9.81 * 0.01 * 1000.0 / 0.9 / 3.6e6)
     assert energy_kwh(1000.0, 20.0) > energy_kwh(1000.0, 10.0)
+
+
+def test_the_search_counts_long_gaps_over_short_streets() -> None:
+    """Sixty streets of 1.5 s without satellites: what the search adds up is what the route loses."""
+    points = np.arange(61)[:, None] * np.array([15.0, 0.0])
+    ways = (StreetWay(k, (k, k + 1), points[k : k + 2], "residential", 1, 0, None, 10.0) for k in range(60))
+    ahead = ahead_of(StreetMap(MapFrame(35.0, 139.0), tuple(ways)), 0, dark=2.0)
+    first, last = (next(k for k, e in enumerate(ahead.graph.edges) if e.points_en_m[0, 0] == at) for at in (0.0, 885.0))
+    planner = Planner(ahead, StreetPlace((first,), (0.1,)), StreetPlace((last,), (0.9,)))
+    nodes = planner._search((0.0, 1.0, 1.0))
+    assert nodes is not None
+    steps = [next(arc for arc in planner._arcs[a] if arc.node == b) for a, b in itertools.pairwise(nodes)]
+    route = planner.fastest()
+    lost = sum(arc.unusable_s for arc in steps)
+    assert route.unusable_s > 50.0
+    assert lost / sum(arc.time_s for arc in steps) == pytest.approx(route.unusable_share, rel=0.05)
