@@ -27,8 +27,8 @@ __all__ = ["Planner", "Route", "StreetPlace", "StreetsAhead", "energy_kwh", "pla
 
 Array = NDArray[np.float64]
 
-# Of classes of gaps. A gap is of the nearest one, so steps are at most twice the time that a short street takes, up to 80
-# s, by when the probability hardly falls any further; chosen.
+# Of classes of gaps. A gap is of the nearest one, so that steps are at most twice the time of short streets, up to
+# 80 s, by when the probability hardly falls any further; chosen.
 GAPS_S = (*np.arange(0.0, 20.0, 1.0).tolist(), *np.arange(20.0, 81.0, 2.0).tolist(), 120.0, 200.0, LONGEST_GAP_S)
 WEIGHT = 3.0  # seconds of time that a second without a usable position counts as; chosen
 MOST_UNUSABLE = 0.25  # share of the time; chosen: of training cities all streets have 0.5, the best ones 0.12

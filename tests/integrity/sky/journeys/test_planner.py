@@ -173,17 +173,21 @@ def test_energy_is_rolling_resistance_and_drag() -> None:
     assert energy_kwh(1000.0, 20.0) > energy_kwh(1000.0, 10.0)
 
 
-def test_the_search_counts_long_gaps_over_short_streets() -> None:
-    """Sixty streets of 1.5 s without satellites: what the search adds up is what the route loses."""
-    points = np.arange(61)[:, None] * np.array([15.0, 0.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_search_counts_long_gaps_over_short_streets(seed: int) -> None:
+    """Sixty streets of 1 to 3 s without satellites: what the search adds up is what the route loses."""
+    along = np.cumsum(np.random.default_rng(seed).uniform(10.0, 30.0, 61))
+    points = along[:, None] * np.array([1.0, 0.0])
     ways = (StreetWay(k, (k, k + 1), points[k : k + 2], "residential", 1, 0, None, 10.0) for k in range(60))
     ahead = ahead_of(StreetMap(MapFrame(35.0, 139.0), tuple(ways)), 0, dark=2.0)
-    first, last = (next(k for k, e in enumerate(ahead.graph.edges) if e.points_en_m[0, 0] == at) for at in (0.0, 885.0))
+    first, last = (
+        next(k for k, e in enumerate(ahead.graph.edges) if e.points_en_m[0, 0] == along[at]) for at in (0, 59)
+    )
     planner = Planner(ahead, StreetPlace((first,), (0.1,)), StreetPlace((last,), (0.9,)))
     nodes = planner._search((0.0, 1.0, 1.0))
     assert nodes is not None
     steps = [next(arc for arc in planner._arcs[a] if arc.node == b) for a, b in itertools.pairwise(nodes)]
     route = planner.fastest()
     lost = sum(arc.unusable_s for arc in steps)
-    assert route.unusable_s > 50.0
-    assert lost / sum(arc.time_s for arc in steps) == pytest.approx(route.unusable_share, rel=0.05)
+    assert route.unusable_s > 80.0
+    assert lost / sum(arc.time_s for arc in steps) == pytest.approx(route.unusable_share, rel=0.03)
