@@ -283,6 +283,7 @@ def _street(number: int, nodes: list[int], line: Array, tags: tg.Tags, assumed: 
     limit, limited = tg.speed_mps(tags)
     wide = tg.metres(tags.get("width"), 2.0, 60.0)
     assumed["lanes of streets, where nothing is tagged"] += not counted
+    assumed["lanes for buses or turns taken for any other lane, by street"] += any(map(tg.OF_LANES.match, tags))
     assumed["speed limits by class, where nothing is tagged"] += not limited
     covered = tags.get("tunnel", "no") != "no" or tags.get("covered") == "yes"
     width = None if wide is None or not counted else wide / (ahead + back)

@@ -9,7 +9,18 @@ import re
 from collections.abc import Mapping
 from math import inf, isfinite
 
-__all__ = ["DEFAULT_KMH", "DRIVABLE", "Tags", "direction", "integer", "lanes", "metres", "no_motor_cars", "speed_mps"]
+__all__ = [
+    "DEFAULT_KMH",
+    "DRIVABLE",
+    "OF_LANES",
+    "Tags",
+    "direction",
+    "integer",
+    "lanes",
+    "metres",
+    "no_motor_cars",
+    "speed_mps",
+]
 
 Tags = Mapping[str, str]
 
@@ -34,6 +45,8 @@ OF_ZONE = {"urban": 50.0, "rural": 100.0, "motorway": 130.0, "living_street": WA
 _METRES = re.compile(r"^\s*(\d+(?:[.,]\d+)?)\s*(m|metres?|meters?|ft|feet)?\s*$", re.ASCII)
 _FEET = re.compile(r"^\s*(\d+)\s*'\s*(?:(\d+(?:\.\d+)?)\s*\")?\s*$", re.ASCII)
 _SPEED = re.compile(r"^\s*(\d+(?:\.\d+)?)\s*(km/h|kmh|kph|mph)?\s*$", re.ASCII)
+OF_LANES = re.compile(r"(lanes:(bus|psv)|(bus|psv|turn|access|vehicle):lanes|placement)(:|$)")
+"""Keys that say which lanes are for buses or turns, or where lanes lie in the carriageway; not read further."""
 
 
 def metres(text: str | None, low: float = 0.0, high: float = TALLEST_M) -> float | None:

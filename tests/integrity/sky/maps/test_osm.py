@@ -60,6 +60,13 @@ def test_a_street_has_what_its_tags_say(tmp_path: Path) -> None:
     assert not found.skipped
 
 
+def test_lanes_for_buses_or_turns_are_counted(tmp_path: Path) -> None:
+    kinds = {"lanes:psv": "1"}, {"turn:lanes:forward": "left|through"}, {"placement": "right_of:1"}, {"lanes": "2"}
+    ways = [way(10 + k, [901, 902], {"highway": "primary", **more}) for k, more in enumerate(kinds)]
+    found = read_osm(written(tmp_path, osm(STREET[0], *ways)))
+    assert found.assumed["lanes for buses or turns taken for any other lane, by street"] == 3
+
+
 def test_ways_that_no_car_drives_through_are_counted(tmp_path: Path) -> None:
     kinds = {"footway": {}, "construction": {}, "service": {}, "residential": {"access": "private"}}
     ways = [way(10 + k, [901, 902], {"highway": kind, **more}) for k, (kind, more) in enumerate(kinds.items())]
