@@ -54,7 +54,7 @@ def at_hour(sky: SkyConfig, hour: float) -> SkyConfig:
 def lane_line(edge: StreetEdge) -> Array:
     """The middle of the rightmost lane along an edge, (n, 2) [m]: of a street in a canyon the one that sees least."""
     width = edge.way.lane_width_m or LANE_WIDTH_M
-    right_m = width * (edge.lanes - 0.5 if edge.lanes_against else 0.5 * (edge.lanes - 1))
+    right_m = edge.right_of_middle_m(0, width)
     side = np.diff(edge.points_en_m, axis=0)
     ahead = side / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
     at = np.concatenate([ahead[:1], ahead[:-1] + ahead[1:], ahead[-1:]])
