@@ -95,9 +95,8 @@ def draw_city_model(model: CityModel, path: Path) -> Path:
     walls = model.city.triangles_enu_m
     height = walls[..., 2].max(1)
     upwards = np.argsort(height, kind="stable")
-    faces = PolyCollection(
-        walls[upwards, :, :2], array=height[upwards], cmap="Greys", edgecolors="face", linewidths=0.3
-    )
+    faces = PolyCollection(list(walls[upwards, :, :2]), cmap="Greys", edgecolors="face", linewidths=0.3)
+    faces.set_array(height[upwards])
     faces.set_clim(0.0, HIGH_M)
     axes.add_collection(faces)
     axes.autoscale_view()
