@@ -1,4 +1,4 @@
-"""What a street map holds, what was assumed and left out, and a picture of its streets, buildings and closed ways."""
+"""What a street map or a city model holds, what was assumed and left out, and a picture of it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from lanebound.envs.records import enu_of
 from lanebound.envs.worlds.street_maps import MapRoad, map_roads
 from lanebound.integrity.assessment.plotting import legend, new_figure, save, tidy
+from lanebound.integrity.sky.maps.city_models import CityModel, read_city_model
 from lanebound.integrity.sky.maps.files import map_of
 from lanebound.integrity.sky.maps.graph import StreetGraph
 from lanebound.integrity.sky.maps.loops import through_buildings
@@ -18,7 +19,7 @@ from lanebound.integrity.sky.maps.loops import through_buildings
 if TYPE_CHECKING:
     from lanebound.integrity.sky.maps.records import StreetMap
 
-__all__ = ["about_map", "draw_map"]
+__all__ = ["about_city_model", "about_map", "draw_city_model", "draw_map"]
 
 WAYS = 8  # that are listed
 HIGH_M = 40.0  # from which on all buildings have one colour
@@ -61,6 +62,48 @@ def about_map(name: str) -> tuple[dict[str, Any], list[MapRoad]]:
             for road in roads
         ],
     }, roads
+
+
+def about_city_model(name: str) -> tuple[dict[str, Any], CityModel]:
+    """Figures of a city model as plain data, and the model.
+
+    Raises
+    ------
+    InputError
+        The model is refused.
+    """
+    model = read_city_model(name)
+    tops = np.zeros(model.city.buildings)
+    np.maximum.at(tops, model.city.building, model.city.triangles_enu_m[..., 2].max(1))
+    return {
+        "map": name,
+        "lat_deg": None if model.frame is None else model.frame.lat_deg,
+        "lon_deg": None if model.frame is None else model.frame.lon_deg,
+        "found": dict(model.found),
+        "skipped": dict(model.skipped),
+        "height_median_m": float(np.median(tops)),
+        "height_max_m": float(tops.max()),
+    }, model
+
+
+def draw_city_model(model: CityModel, path: Path) -> Path:
+    """Draw the surfaces of a city model from above by height, the highest last; returns the path."""
+    from matplotlib.collections import PolyCollection
+
+    figure = new_figure(9.0, 8.0)
+    axes = figure.add_subplot()
+    walls = model.city.triangles_enu_m
+    height = walls[..., 2].max(1)
+    upwards = np.argsort(height, kind="stable")
+    faces = PolyCollection(list(walls[upwards, :, :2]), cmap="Greys", edgecolors="face", linewidths=0.3)
+    faces.set_array(height[upwards])
+    faces.set_clim(0.0, HIGH_M)
+    axes.add_collection(faces)
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    tidy(axes, xlabel="East [m]", ylabel="North [m]")
+    figure.colorbar(faces, ax=axes, label="height of buildings [m]", shrink=0.6, extend="max")
+    return save(figure, path)
 
 
 def draw_map(streets: StreetMap, roads: Sequence[MapRoad], path: Path) -> Path:

@@ -39,3 +39,22 @@ def test_a_map_without_closed_ways_and_a_file_that_is_none(tmp_path: Path) -> No
     assert "packaged one or a file" in refused.stderr
     with pytest.raises(ValueError, match="packaged one or a file"):
         about_map("nowhere")
+
+
+def test_a_city_model(tmp_path: Path) -> None:
+    corners = [[x, y, z] for z in (5.0, 17.0) for x, y in ((0, 0), (20, 0), (20, 10), (0, 10))]
+    faces = [[[0, 1, 5, 4]], [[1, 2, 6, 5]], [[2, 3, 7, 6]], [[3, 0, 4, 7]], [[4, 5, 6, 7]]]
+    shape = {"type": "MultiSurface", "lod": "1", "boundaries": faces}
+    objects = {"a": {"type": "Building", "geometry": [shape]}, "t": {"type": "Road"}}
+    file = tmp_path / "model.city.json"
+    file.write_text(json.dumps({"type": "CityJSON", "CityObjects": objects, "vertices": corners}), encoding="utf-8")
+    done = CliRunner().invoke(app, ["map", str(file), "--out", str(tmp_path / "out"), "--json"])
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert (found["found"], found["lat_deg"]) == ({"buildings": 1, "surfaces": 5}, None)
+    assert (found["height_median_m"], found["height_max_m"]) == (12.0, 12.0)
+    assert (tmp_path / "out" / "map.png").read_bytes()[:4] == b"\x89PNG"
+    shown = CliRunner().invoke(app, ["map", str(file)])
+    assert "objects that are no buildings" in shown.stdout
+    file.write_text("{}", encoding="utf-8")
+    assert CliRunner().invoke(app, ["map", str(file)]).exit_code == 2

@@ -25,7 +25,7 @@ from lanebound.integrity.sky.maps.sizes import read_bytes
 from lanebound.integrity.sky.maps.utm import Utm
 from lanebound.integrity.sky.scene import City
 
-__all__ = ["CityModel", "read_city_model"]
+__all__ = ["CityModel", "is_city_model", "read_city_model"]
 
 Array = NDArray[np.float64]
 Rings = list[Array]  # (n, 3) each, the first is the outline
@@ -72,6 +72,11 @@ class _Surfaces:
             raise InputError(f"city model must hold at most {most}, got more: cut a part")
 
 
+def is_city_model(path: str | Path) -> bool:
+    """Whether a file is one of CityGML or CityJSON, by its name."""
+    return Path(path).name.lower().removesuffix(".gz").endswith((*GML, *JSON))
+
+
 def read_city_model(path: str | Path) -> CityModel:
     """Read the buildings of a CityGML or CityJSON file.
 
@@ -83,7 +88,7 @@ def read_city_model(path: str | Path) -> CityModel:
     """
     file = Path(path)
     name = file.name.lower().removesuffix(".gz")
-    if not name.endswith((*GML, *JSON)):
+    if not is_city_model(file):
         raise InputError(
             f"city model {file} must end in one of {', '.join((*GML, *JSON))}, also with .gz, got {file.name!r}"
         )

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 MOST_CORNERS = 4000  # of one polygon: cutting it takes a time that grows with their square, 0.1 s for these
 SAME_M = 0.01
+SMALLER = 1e-6  # of holes; chosen, above rounding and far below a millimetre
 
 
 def signed_area(ring: Array) -> float:
@@ -44,11 +45,15 @@ def inside(points: Array, rings: Sequence[Array]) -> NDArray[np.bool_]:
 
 
 def triangulated(rings: Sequence[Array]) -> Array:
-    """Triangles (t, 3, 2), counter-clockwise, of a ring and its holes, as :func:`cleaned` makes them."""
-    outline = rings[0]
-    for hole in sorted(rings[1:], key=lambda ring: float(ring[:, 0].min())):
+    """Triangles (t, 3, 2), counter-clockwise, of a ring and its holes, as :func:`cleaned` makes them.
+
+    Cuts and ears are found with holes that are smaller by a millionth, so that holes that touch have a gap.
+    """
+    small = [ring + SMALLER * (k > 0) * (ring.mean(0) - ring) for k, ring in enumerate(rings)]
+    outline, *holes = (np.hstack(both) for both in zip(small, rings, strict=True))
+    for hole in sorted(holes, key=lambda ring: float(ring[:, 0].min())):
         outline = _joined(outline, hole)
-    return np.asarray(outline[clip_ears(outline[:, 0].copy(), outline[:, 1].copy())])
+    return np.asarray(outline[clip_ears(outline[:, 0].copy(), outline[:, 1].copy()), 2:])
 
 
 def crossing(line: Array, a: Array, b: Array) -> Array:
@@ -63,14 +68,14 @@ def crossing(line: Array, a: Array, b: Array) -> Array:
 
 
 def _joined(outline: Array, hole: Array) -> Array:
-    """A ring with a cut to a hole and back, from the leftmost corner of the hole.
+    """A ring (n, 4) with a cut to a hole (m, 4) and back, from the leftmost corner of the hole by two columns.
 
     D. Eberly, Triangulation by ear clipping, 2002, section 3: cuts cross no other hole if holes are joined from left to
     right. The ray from the corner to the left meets a side; the cut ends at the left end of that side, or at a corner
     before it, the one nearest to the ray by its angle.
     """
     j = int(np.argmin(hole[:, 0]))
-    i = _seen_from(outline, hole[j])
+    i = _seen_from(outline[:, :2], hole[j, :2])
     return np.concatenate([outline[: i + 1], hole[j:], hole[: j + 1], outline[i:]])
 
 

@@ -55,12 +55,12 @@ def test_cuts_to_holes_cross_no_other_hole(seed: int, holes: int, corners: int) 
     middles = 10.0 * np.stack([cells % 6, cells // 6], -1) + 5.0
     turned = np.array([[np.cos(seed), -np.sin(seed)], [np.sin(seed), np.cos(seed)]]) if seed % 2 else np.eye(2)
     outline = np.array([(0.0, 0.0), (60.0, 0.0), (60.0, 60.0), (0.0, 60.0)])
-    shapes = [np.round(star(seed + k, corners, 4.4) + middle, seed % 3) for k, middle in enumerate(middles)]
+    shapes = [np.round(star(seed + k, corners, 5.0) + middle, seed % 3) for k, middle in enumerate(middles)]
     rings = [ring for k, shape in enumerate([outline, *shapes])
              if (ring := cleaned(shape @ turned.T, clockwise=k > 0)) is not None]  # fmt: skip
-    found = areas(triangulated(rings))
-    assert found.min() > -1e-9
-    assert np.abs(found).sum() == pytest.approx(sum(map(signed_area, rings)), rel=1e-9)
+    found = areas(triangulated(rings))  # of corners in whole metres some touch
+    assert found.min() > -1e-3
+    assert np.abs(found).sum() == pytest.approx(sum(map(signed_area, rings)), rel=1e-6)
 
 
 def test_two_courtyards_and_many() -> None:
