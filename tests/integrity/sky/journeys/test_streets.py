@@ -28,7 +28,10 @@ def walls(height_m: float, count: int = 2) -> City:
     return City.of_buildings(foot[:count], np.full(count, height_m))
 
 
-@pytest.mark.parametrize(("lanes", "against", "right_m"), [(1, 1, 1.5), (2, 2, 4.5), (1, 0, 0.0), (3, 0, 3.0), (2, 1, 3.0)])
+LANES = [(1, 1, 1.5), (2, 2, 4.5), (1, 0, 0.0), (3, 0, 3.0), (2, 1, 3.0)]
+
+
+@pytest.mark.parametrize(("lanes", "against", "right_m"), LANES)
 def test_the_line_is_that_of_the_rightmost_lane(lanes: int, against: int, right_m: float) -> None:
     np.testing.assert_allclose(lane_line(street(lanes, against)), [(right_m, 0.0), (right_m, 95.0)], atol=1e-12)
 
