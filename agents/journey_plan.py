@@ -49,6 +49,7 @@ class PlannedJourney:
     streets, ahead : the map near the journey, and what is predicted of its streets
     routes : by name
     by_hour : the integrity-aware route at each hour of the day
+    weight : of a second without a usable position in it
     """
 
     streets: StreetMap
@@ -58,11 +59,12 @@ class PlannedJourney:
     hour: float
     routes: dict[str, Route]
     by_hour: dict[int, Route]
+    weight: float
 
     @property
     def best_hour(self) -> int:
         """The hour at which the integrity-aware route has the least sum of time and weighted unusable time."""
-        return min(self.by_hour, key=lambda h: (self.by_hour[h].time_s + WEIGHT * self.by_hour[h].unusable_s, h))
+        return min(self.by_hour, key=lambda h: (self.by_hour[h].time_s + self.weight * self.by_hour[h].unusable_s, h))
 
     def to_dict(self) -> dict[str, Any]:
         """The journey as plain data; routes as latitudes and longitudes of the points of their streets."""
@@ -134,7 +136,7 @@ def plan_journey(
         "chance-constrained": now.bounded(most_unusable),
     }
     by_hour = {one: planner_at(float(one)).weighted(weight) for one in HOURS}
-    return PlannedJourney(streets, now.ahead, places[0], places[1], hour, routes, by_hour)
+    return PlannedJourney(streets, now.ahead, places[0], places[1], hour, routes, by_hour, weight)
 
 
 def _place(streets: StreetMap, points_en_m: Array, place_deg: Degrees, name: str) -> Array:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lanebound.agents.cli.options import AsJson
 from lanebound.agents.cli.output import print_json, print_table, resumable, wait_for
+
+if TYPE_CHECKING:
+    from lanebound.integrity.sky.journeys.planner import Route
 
 PLAN, PICTURE = "plan.json", "plan.png"
 NO_LEVEL_M = 1e4  # from which on a level stands for none
@@ -18,8 +22,8 @@ def plan(
     name: Annotated[
         str, typer.Argument(metavar="MAP", help="FILE.osm, .osm.gz or .osm.pbf, a packaged map, or generated:SEED.")
     ],
-    origin: Annotated[str, typer.Option("--from", metavar="LAT,LON", help="Where the journey begins [deg].")],
-    destination: Annotated[str, typer.Option("--to", metavar="LAT,LON", help="Where it ends [deg].")],
+    origin: Annotated[str, typer.Option("--from", metavar="LAT,LON", help="Where the journey begins, in degrees.")],
+    destination: Annotated[str, typer.Option("--to", metavar="LAT,LON", help="Where it ends, in degrees.")],
     depart: Annotated[float, typer.Option(metavar="HOUR", help="Hour of departure, GPS time (UTC).")] = 12.0,
     weight: Annotated[
         float, typer.Option(min=0.0, help="Seconds of time that a second without a usable position counts as.")
@@ -32,7 +36,7 @@ def plan(
 ) -> None:
     """Plan a journey before it begins: routes by time, length and the time without a usable position (S2 section 3).
 
-    Needs the extra maps (pip install 'lanebound[maps]').
+    Needs the extra maps: pip install 'lanebound\\[maps]'.
 
     Example: lanebound plan generated:0 --from 35.6640,139.7890 --to 35.6685,139.7950 --out out/plan
     """
@@ -57,7 +61,7 @@ def plan(
             title, f"{r.time_s:.0f}", f"{r.length_m:.0f}", f"{r.unusable_s:.1f}", f"{r.unusable_share:.2f}",
             *map(_level, r.level_m), f"{r.energy_kwh:.3f}",
         )
-        for title, r in journey.routes.items()
+        for title, r in _distinct(journey.routes).items()
     ]  # fmt: skip
     print_table(f"Journey through {name}, departure at {depart:g} h", heads, rows)
     hours = [(f"{hour} h", f"{r.time_s:.0f}", f"{r.unusable_s:.1f}") for hour, r in journey.by_hour.items()]
@@ -65,6 +69,14 @@ def plan(
     typer.echo(f"Best hour of departure: {journey.best_hour} h")
     for path in written:
         typer.echo(str(path))
+
+
+def _distinct(routes: Mapping[str, Route]) -> dict[str, Route]:
+    """The routes without those that are another one again, whose names the first one takes."""
+    found: dict[tuple[int, ...], list[str]] = {}
+    for title, route in routes.items():
+        found.setdefault(route.edges, []).append(title)
+    return {", ".join(titles): routes[titles[0]] for titles in found.values()}
 
 
 def _level(level_m: float) -> str:

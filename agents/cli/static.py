@@ -152,7 +152,8 @@ def refuse_early(
     if changes:
         refuse_keys("environment", changes)
     if faults is not None:
-        _require("faults", faults, static_table()["faults"])
+        own = "; lanebound drive takes your own, too: kind=jamming,start_s=5,magnitude_db=40"
+        _require("faults", faults, static_table()["faults"], how=own)
 
 
 def known_skies(names: list[str] | None) -> list[str] | None:

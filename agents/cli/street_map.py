@@ -28,7 +28,7 @@ def street_map(
 ) -> None:
     """Read a street map: what it holds, what is assumed and left out, and its closed ways, which UrbanCanyon drives.
 
-    Street maps need the extra maps (pip install 'lanebound[maps]'). Of a city model the buildings are shown.
+    Street maps need the extra maps: pip install 'lanebound\\[maps]'. Of a city model the buildings are shown.
 
     Example: lanebound map berlin_kreuzberg --out out/map
     """
