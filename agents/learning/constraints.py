@@ -44,14 +44,14 @@ def group_limits(config: EnvConfig) -> tuple[GroupLimit, ...]:
 
 
 def own_limit(env: Any) -> float:
-    """The ``cost_limit`` of an environment, or of the environments of a VecEnv.
+    """The ``cost_limit`` of an environment, or of the environments of a VecEnv; 1 of None, for a model to be loaded.
 
     Raises
     ------
     InputError
         An environment that has no such limit.
     """
-    if env is None:  # a model that is loaded takes the limit that it was saved with
+    if env is None:
         return 1.0
     try:
         config = env.get_attr("config")[0] if isinstance(env, VecEnv) else env.get_wrapper_attr("config")

@@ -56,7 +56,8 @@ class PPOLagrangian(PPO):
         cost_learning_rate: float = 1e-3,
         **settings: Any,
     ) -> None:
-        limit = own_limit(env) if cost_limit is None else cost_limit
+        made = settings.get("_init_setup_model", True)  # else load takes all constraints from the file
+        limit = own_limit(env if made else None) if cost_limit is None else cost_limit
         self.constraints = Constraints(limit, cost_limits, multiplier or MultiplierConfig())
         self.cost_gamma, self.cost_gae_lambda = cost_gamma, cost_gae_lambda
         self.cost_learning_rate = cost_learning_rate

@@ -104,7 +104,8 @@ class SACLagrangian(SAC):
         cost_gamma: float = 0.99,
         **settings: Any,
     ) -> None:
-        limit = own_limit(env) if cost_limit is None else cost_limit
+        made = settings.get("_init_setup_model", True)  # else load takes all constraints from the file
+        limit = own_limit(env if made else None) if cost_limit is None else cost_limit
         self.constraints = Constraints(limit, cost_limits, multiplier or MultiplierConfig())
         self.cost_gamma = cost_gamma
         settings.setdefault("replay_buffer_class", CostReplayBuffer)

@@ -297,8 +297,8 @@ class _Faulty:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._env, name)
 
-    def reset(self, *, seed: int) -> Any:
-        """Begin an episode with the fault of its seed."""
+    def reset(self, *, seed: int, options: Mapping[str, Any] | None = None) -> Any:
+        """Begin an episode with the fault of its seed, whatever the options."""
         return self._env.reset(seed=seed, options={"faults": [self._config.one_fault(seed)]})
 
 
