@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.assessment.plotting import legend, new_figure, save, tidy
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.sky.availability import packaged_model
+from lanebound.integrity.sky.availability import NO_LEVEL_M, packaged_model
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.journeys.planner import (
     MOST_UNUSABLE,
@@ -78,14 +78,17 @@ class PlannedJourney:
         }
 
     def _plain(self, route: Route) -> dict[str, Any]:
+        def finite(level_m: float) -> float | None:
+            return level_m if level_m < NO_LEVEL_M else None
+
         line = np.concatenate([self.ahead.graph.edges[k].points_en_m for k in route.edges])
         return {
             "length_m": route.length_m,
             "time_s": route.time_s,
             "unusable_s": route.unusable_s,
             "unusable_share": route.unusable_share,
-            "level_median_m": route.level_m[0],
-            "level_90_m": route.level_m[1],
+            "level_median_m": finite(route.level_m[0]),
+            "level_90_m": finite(route.level_m[1]),
             "energy_kwh": route.energy_kwh,
             "lat_lon_deg": np.round(self.streets.frame.lat_lon_of(line), 7).tolist(),
         }

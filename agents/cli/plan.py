@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from lanebound.integrity.sky.journeys.planner import Route
 
 PLAN, PICTURE = "plan.json", "plan.png"
-NO_LEVEL_M = 1e4  # from which on a level stands for none
 
 
 def plan(
@@ -80,4 +79,6 @@ def _distinct(routes: Mapping[str, Route]) -> dict[str, Route]:
 
 
 def _level(level_m: float) -> str:
+    from lanebound.integrity.sky.availability import NO_LEVEL_M
+
     return f"{level_m:.2f}" if level_m < NO_LEVEL_M else "none"

@@ -18,7 +18,7 @@ from lanebound.agents.learning.multiplier import Multiplier, MultiplierConfig
 from lanebound.envs.config import EnvConfig
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["Constraints", "GroupLimit", "costs_in", "group_limits", "own_limit"]
+__all__ = ["Constraints", "GroupLimit", "costs_in", "group_limits", "limit_of"]
 
 
 class GroupLimit(NamedTuple):
@@ -43,15 +43,19 @@ def group_limits(config: EnvConfig) -> tuple[GroupLimit, ...]:
     )
 
 
-def own_limit(env: Any) -> float:
-    """The ``cost_limit`` of an environment, or of the environments of a VecEnv; 1 of None, for a model to be loaded.
+def limit_of(given: float | None, env: Any, settings: Mapping[str, Any]) -> float:
+    """The limit of the cost of a learner: the one given, or that of its environment, or of those of a VecEnv.
+
+    settings : of the learner; in one that is loaded (``_init_setup_model`` false) the file replaces what is returned
 
     Raises
     ------
     InputError
         An environment that has no such limit.
     """
-    if env is None:
+    if given is not None:
+        return given
+    if env is None or not settings.get("_init_setup_model", True):
         return 1.0
     try:
         config = env.get_attr("config")[0] if isinstance(env, VecEnv) else env.get_wrapper_attr("config")

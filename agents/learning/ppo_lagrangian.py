@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 
-from lanebound.agents.learning.constraints import Constraints, GroupLimit, costs_in, own_limit
+from lanebound.agents.learning.constraints import Constraints, GroupLimit, costs_in, limit_of
 from lanebound.agents.learning.costs import CostCritic, EpisodeCosts, advantages, require_flat
 from lanebound.agents.learning.multiplier import MultiplierConfig
 
@@ -56,8 +56,7 @@ class PPOLagrangian(PPO):
         cost_learning_rate: float = 1e-3,
         **settings: Any,
     ) -> None:
-        made = settings.get("_init_setup_model", True)  # else load takes all constraints from the file
-        limit = own_limit(env if made else None) if cost_limit is None else cost_limit
+        limit = limit_of(cost_limit, env, settings)
         self.constraints = Constraints(limit, cost_limits, multiplier or MultiplierConfig())
         self.cost_gamma, self.cost_gae_lambda = cost_gamma, cost_gae_lambda
         self.cost_learning_rate = cost_learning_rate

@@ -19,7 +19,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
-from lanebound.agents.learning.constraints import Constraints, GroupLimit, costs_in, own_limit
+from lanebound.agents.learning.constraints import Constraints, GroupLimit, costs_in, limit_of
 from lanebound.agents.learning.costs import CostCritic, EpisodeCosts, require_flat
 from lanebound.agents.learning.multiplier import MultiplierConfig
 
@@ -104,8 +104,7 @@ class SACLagrangian(SAC):
         cost_gamma: float = 0.99,
         **settings: Any,
     ) -> None:
-        made = settings.get("_init_setup_model", True)  # else load takes all constraints from the file
-        limit = own_limit(env if made else None) if cost_limit is None else cost_limit
+        limit = limit_of(cost_limit, env, settings)
         self.constraints = Constraints(limit, cost_limits, multiplier or MultiplierConfig())
         self.cost_gamma = cost_gamma
         settings.setdefault("replay_buffer_class", CostReplayBuffer)

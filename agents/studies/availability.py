@@ -131,7 +131,7 @@ def fitted(ways: list[dict[str, Any]]) -> AvailabilityModel:
 
 
 def _gap(fix: Fit, way: Mapping[str, Any]) -> Array:
-    """Gaps at the stations of a way; a vehicle knows its place at the beginning."""
+    """Gaps at the stations of a way, from a known place."""
     good = likely(fix, np.asarray(way["satellites"], float), np.asarray(way["pdop"], float))
     part_s = np.asarray(way["part_s"], float)
     return gaps_along(good, np.cumsum(part_s) - 0.5 * part_s, 0.0)

@@ -2,9 +2,9 @@
 
 In each generated city of the test split, places are drawn at random, and the ways between them at one hour chosen by
 length, by time, by time and expected time without a usable position, and by time with a bound on its share. The choice
-knows the map with its errors, the satellites and the speed limits. An oracle chooses as the third one does, by the true
-city. Then the whole navigator drives every route under the true city; all routes of a pair of places have the sensor
-noise of one vehicle, and random faults of their own. Intervals are by city.
+is made by the map with its errors, the satellites and the speed limits. An oracle chooses as the third one does, by the
+true city. Then the whole navigator drives every route under the true city; all routes of a pair of places have the
+sensor noise of one vehicle, and random faults of their own. Intervals are by city.
 """
 
 from __future__ import annotations

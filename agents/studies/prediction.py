@@ -4,8 +4,8 @@ Streets are predicted from maps of their cities with errors, from the satellites
 alone. Then the whole navigator drives them, and what it receives and bounds is compared with the prediction.
 
 - Satellites: number in line of sight and PDOP, predicted and received, by the error of the map. A satellite is received
-  where its carrier is tracked, directly or not: the receiver does not know which.
-- Availability: the probability that a position is usable, from two models that know only the prediction. The first one
+  where its carrier is tracked, directly or not, which a receiver cannot tell.
+- Availability: the probability that a position is usable, from two models of the prediction alone. The first one
   gives the probability of an RTK position from satellites and PDOP; the second one that of a usable position from the
   satellites and the time since the first one was last above one half, at the speed limit: dead reckoning bridges gaps.
   Both are fitted on training streets of all skies together, and judged on other streets.
@@ -43,6 +43,7 @@ from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.availability import (
     LONGEST_GAP_S,
+    NO_LEVEL_M,
     WORST_PDOP,
     AvailabilityModel,
     Fit,
@@ -61,7 +62,6 @@ Array = NDArray[np.float64]
 
 ANTENNA_HEIGHT_M = 1.5
 SAMPLE_S = 1.0  # between samples of a vehicle
-NO_LEVEL_M = 1e4  # in place of a missing level
 BINS = 5  # of the reliability diagram
 ALL = "all"  # skies
 QUANTILES = (0.5, 0.9)
@@ -260,8 +260,8 @@ def _pdop(street: SampledStreet) -> Array:
 def judged(model: AvailabilityModel, skies: Sequence[Sequence[SampledStreet]]) -> dict[str, Any]:
     """Brier score of the probabilities beside that of each sky's share, and how often levels lie below.
 
-    The skill is ``1 - BS / BS_climate``; the climate knows the usable share of the judged streets of each sky, which no
-    forecast does. Its interval is by street, drawn again within each sky, with the share of what is drawn.
+    The skill is ``1 - BS / BS_climate``; the climate is the usable share of the judged streets of each sky,
+    which is not known before. Its interval is by street, drawn again within each sky, with the share of what is drawn.
     """
     streets = [street for each in skies for street in each]
     said = [probability(model, s)[s.station] for s in streets]

@@ -20,12 +20,13 @@ from lanebound.agents.checkpointing.runner import Advance, ignore
 from lanebound.envs.sky import SkyLevel
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import named_generator
-from lanebound.integrity.motion.drive import DriveConfig
+from lanebound.integrity.motion.drive import DriveConfig, curve_limits
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.campaign import FaultPriors, random_campaign
 from lanebound.integrity.sensors.faults import FaultSchedule
+from lanebound.integrity.sky.availability import NO_LEVEL_M
 from lanebound.integrity.sky.journeys.streets import (
     AZIMUTH_STEP_DEG,
     ELEVATION_STEP_DEG,
@@ -47,7 +48,6 @@ Array = NDArray[np.float64]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.studies", "lanebound.envs.sky")  # that results depend on
 STATION_M = 8.0  # of the true sky; of the sky of environments 5 m
-NO_LEVEL_M = 1e4  # in place of a missing level
 
 
 class RouteDrivesConfig(Config):
@@ -212,17 +212,12 @@ def _lane_along(edges: Sequence[StreetEdge], leg: Leg) -> Array:
 
 
 def _profile(road: Road, limit_mps: Array, drive: DriveConfig) -> Array:
-    """Speeds at the vertices of a road within limits, bends and accelerations; slow at both ends."""
-    step = np.diff(road.arc_at_m)
-    bend = np.maximum(np.abs(np.diff(road.tangent_rad)), 1e-9)
-    in_bend = np.maximum(np.sqrt(drive.lateral_mps2 * step / bend), 3.0)
-    speed = limit_mps.copy()
-    speed[:-1], speed[1:] = np.minimum(speed[:-1], in_bend), np.minimum(speed[1:], in_bend)
-    speed[0] = speed[-1] = 0.0
+    """Speeds at the vertices of a road within limits, bends and accelerations, from standing to standing."""
+    step, legal = np.diff(road.arc_at_m), limit_mps.copy()
+    legal[0] = legal[-1] = 0.0
+    speed = curve_limits(road, legal, drive)
     for k in range(step.size):
         speed[k + 1] = min(speed[k + 1], np.sqrt(speed[k] ** 2 + 2.0 * drive.acceleration_mps2 * step[k]))
-    for k in range(step.size - 1, -1, -1):
-        speed[k] = min(speed[k], np.sqrt(speed[k + 1] ** 2 + 2.0 * drive.braking_mps2 * step[k]))
     return speed
 
 

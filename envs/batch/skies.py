@@ -18,7 +18,7 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.sky.constellation import SatelliteTable, SkyConfig
 from lanebound.integrity.sky.forecast import SkyForecast
-from lanebound.integrity.sky.raytrace_kernel import EDGE_LINE, FACE, REFLECTION, MaskRows
+from lanebound.integrity.sky.mask_kernel import EDGE_LINE, FACE, REFLECTION, MaskRows
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SkyMask

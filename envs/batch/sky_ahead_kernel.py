@@ -12,7 +12,7 @@ from lanebound.envs.batch.lanes_kernel import local
 from lanebound.envs.batch.motion_kernel import Whereabouts
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import TWO_PI
-from lanebound.integrity.sky.raytrace_kernel import bin_of
+from lanebound.integrity.sky.mask_kernel import bin_of
 
 __all__ = ["Forecast", "HourTable", "SkyAhead", "SkyRows", "fill_sky", "predict"]
 

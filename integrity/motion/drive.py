@@ -21,7 +21,7 @@ from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sky.road import Road
 
-__all__ = ["CityDrive", "DriveConfig", "DriveState"]
+__all__ = ["CityDrive", "DriveConfig", "DriveState", "curve_limits"]
 
 Array = NDArray[np.float64]
 SUBSTEPS = 8  # of an epoch, for the heading of a body
@@ -62,6 +62,25 @@ class DriveState:
         return copy.deepcopy(self)
 
 
+def curve_limits(road: Road, legal_mps: Array, config: DriveConfig, lane_at_m: Array | None = None) -> Array:
+    """Speeds at the M vertices of a road: the legal ones (M,) or those of curves, ahead too with comfortable braking.
+
+    lane_at_m : (M,) length along the lane; None for the line of the road
+    """
+    step, limit = np.diff(road.arc_at_m), np.array(legal_mps, dtype=np.float64)
+    bend = np.maximum(np.abs(np.diff(road.tangent_rad)), 1e-9)
+    along = step if lane_at_m is None else np.diff(lane_at_m)
+    in_curve = np.maximum(np.sqrt(config.lateral_mps2 * along / bend), 3.0)
+    limit[:-1] = np.minimum(limit[:-1], in_curve)
+    limit[1:] = np.minimum(limit[1:], in_curve)
+    for _ in range(2):  # twice, so that on a closed road the limits at the start act on the end
+        if road.closed:
+            limit[-1] = min(limit[-1], limit[0])
+        for i in range(step.size - 1, -1, -1):
+            limit[i] = min(limit[i], np.sqrt(limit[i + 1] ** 2 + 2.0 * config.braking_mps2 * step[i]))
+    return limit
+
+
 class CityDrive:
     """A batch of vehicles on ``road``.
 
@@ -99,18 +118,8 @@ class CityDrive:
 
     def _curve_limits(self) -> Array:
         """Speed limit at each vertex: the legal limit or the limit of the curves ahead with comfortable braking."""
-        c, step = self.config, np.diff(self.road.arc_at_m)
-        bend = np.maximum(np.abs(np.diff(self.road.tangent_rad)), 1e-9)
-        in_curve = np.maximum(np.sqrt(c.lateral_mps2 * np.diff(self._lane_at_m) / bend), 3.0)
-        limit = np.full(step.size + 1, c.speed_limit_mps)
-        limit[:-1] = np.minimum(limit[:-1], in_curve)
-        limit[1:] = np.minimum(limit[1:], in_curve)
-        for _ in range(2):  # twice, so that on a closed road the limits at the start act on the end
-            if self.road.closed:
-                limit[-1] = min(limit[-1], limit[0])
-            for i in range(step.size - 1, -1, -1):
-                limit[i] = min(limit[i], np.sqrt(limit[i + 1] ** 2 + 2.0 * c.braking_mps2 * step[i]))
-        return limit
+        legal = np.full(self.road.arc_at_m.size, self.config.speed_limit_mps)
+        return curve_limits(self.road, legal, self.config, self._lane_at_m)
 
     def _along_lane(self, arc_m: Array) -> Array:
         """Length of the lane from the start of the road: ``s - lateral (heading(s) - heading(0))``."""

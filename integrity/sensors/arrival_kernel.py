@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
+from lanebound.integrity.sky.mask_kernel import BLOCKED, FOLIAGE, LOS, REFLECTED, STRONGEST
 from lanebound.integrity.sky.propagation_kernel import (
     antenna_amplitude,
     diffraction_loss_db,
@@ -40,7 +41,6 @@ from lanebound.integrity.sky.propagation_kernel import (
     excess_rate,
     fresnel_parameter,
 )
-from lanebound.integrity.sky.raytrace_kernel import BLOCKED, FOLIAGE, LOS, REFLECTED, STRONGEST
 
 __all__ = [
     "ARRIVAL",

@@ -23,7 +23,7 @@ from lanebound.integrity.sensors.arrival_kernel import (
     track,
 )
 from lanebound.integrity.sensors.near_objects_kernel import NEAR, NEAR_RULES, advance_near
-from lanebound.integrity.sky.raytrace_kernel import BLOCKED, LOS, REFLECTED
+from lanebound.integrity.sky.mask_kernel import BLOCKED, LOS, REFLECTED
 from lanebound.integrity.sky.systems_kernel import N_SYSTEMS
 
 __all__ = [

@@ -27,7 +27,7 @@ from lanebound.integrity.sensors.gnss_kernel import (
 from lanebound.integrity.sensors.imu_kernel import IMU_RULES
 from lanebound.integrity.sensors.near_objects_kernel import NEAR
 from lanebound.integrity.sensors.odometer_kernel import ODOMETER_RULES
-from lanebound.integrity.sky.raytrace_kernel import RECEPTION, find_cells, look_up
+from lanebound.integrity.sky.mask_kernel import RECEPTION, find_cells, look_up
 
 __all__ = ["DRAWN_STREAMS", "INSTRUMENT_RULES", "VEHICLE_DRAWS", "Sensors", "draw_jointly", "draw_width", "sense"]
 

@@ -20,7 +20,16 @@ from scipy.special import expit
 
 from lanebound.integrity.core.splines import Basis, fit_logistic
 
-__all__ = ["LONGEST_GAP_S", "WORST_PDOP", "AvailabilityModel", "Fit", "gaps_along", "likely", "packaged_model"]
+__all__ = [
+    "LONGEST_GAP_S",
+    "NO_LEVEL_M",
+    "WORST_PDOP",
+    "AvailabilityModel",
+    "Fit",
+    "gaps_along",
+    "likely",
+    "packaged_model",
+]
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -29,6 +38,7 @@ FEWEST_FOR_RTK = 5  # satellites (S2 section 3)
 WORST_PDOP = 20.0  # in place of a larger one: no position
 LONGEST_GAP_S = 600.0  # a gap whose beginning is not known
 LIKELY = 0.5
+NO_LEVEL_M = 1e4  # in place of a missing level
 GROUPS = 10  # of probabilities whose levels are alike
 FILE = "maps/availability.json"  # of configs; written by lanebound reproduce availability
 

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import require_in_range
-from lanebound.integrity.sky.raytrace_kernel import count_free, free_rows
+from lanebound.integrity.sky.mask_kernel import count_free
+from lanebound.integrity.sky.raytrace_kernel import free_rows
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import cell_centres, cells_of, distinct_antennas

@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.sky.mask_kernel import EDGE_LINE, FACE, STRONGEST
 from lanebound.integrity.sky.propagation_kernel import permittivity
 from lanebound.integrity.sky.raytrace import build_grid
-from lanebound.integrity.sky.raytrace_kernel import EDGE_LINE, FACE, SIDES, STRONGEST, Grid, side_corners
+from lanebound.integrity.sky.raytrace_kernel import SIDES, Grid, side_corners
 
 __all__ = ["MATERIAL", "City", "Faces", "Material", "Surface", "clad", "material_table", "permittivities", "prisms"]
 
@@ -34,7 +35,7 @@ class Faces:
     ----------
     face : (N, L, A E, 2) int32, indices of the table by cell of the sky: the reflections of most power, -1 for none
     edge : (N, L, A) int32, indices of ``edges``: upper edge of the highest solid obstacle by azimuth, -1 for none
-    table : (F,) of FACE (:mod:`.raytrace_kernel`): planes in the frame of the city
+    table : (F,) of FACE (:mod:`.mask_kernel`): planes in the frame of the city
     edges : (K,) of EDGE_LINE: lines in the frame of the city
     """
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.sky.raytrace_kernel import SatelliteRows
+from lanebound.integrity.sky.mask_kernel import SatelliteRows
 
 __all__ = ["SkyView"]
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.core.records import Records, one_record, packed
-from lanebound.integrity.sky.raytrace_kernel import (
+from lanebound.integrity.sky.mask_kernel import (
     EDGE_LINE,
     FACE,
     MASK_RULES,
@@ -31,8 +31,8 @@ from lanebound.integrity.sky.raytrace_kernel import (
     STRONGEST,
     MaskRows,
     look_up_rows,
-    mask_rows,
 )
+from lanebound.integrity.sky.raytrace_kernel import mask_rows
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City, Faces, material_table, permittivities
 from lanebound.integrity.sky.view import SkyView

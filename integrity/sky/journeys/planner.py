@@ -153,7 +153,7 @@ class StreetsAhead:
         return float(left[found[-1]] - 0.5 * self.stations.part_s[rows[found[-1]]]) if found.size else begin_s + total
 
     def described(self, edges: tuple[int, ...], begin: float, end: float) -> Route:
-        """A route with what is predicted of it, along its own gaps; the vehicle knows its place at the begin."""
+        """A route with what is predicted of it, along its own gaps, from a known place."""
         rows, part_s = self.stations.of_way(self.graph, edges, begin, end)
         if not rows.size:  # shorter than a part of a street
             rows = self.stations.first[list(edges[:1])]

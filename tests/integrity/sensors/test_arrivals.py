@@ -13,8 +13,8 @@ from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.arrival_kernel import TRACKED
 from lanebound.integrity.sensors.gnss import TESTS, GnssConfig, GnssEpoch, gnss_parameters
+from lanebound.integrity.sky.mask_kernel import EDGE_LINE, FACE, RECEPTION
 from lanebound.integrity.sky.propagation_kernel import antenna_amplitude, edge_detour
-from lanebound.integrity.sky.raytrace_kernel import EDGE_LINE, FACE, RECEPTION
 from lanebound.integrity.sky.systems import CHIP_M, WAVELENGTH_M
 from lanebound.integrity.sky.visibility import Reception, SignalPath
 from tests.integrity.sensors.test_gnss import DT, N_SAT, PERFECT, SYSTEM, _Receiver, _sky
