@@ -14,11 +14,12 @@ from lanebound.agents.cli import app
 from lanebound.agents.studies import journeys as study
 from lanebound.agents.studies.availability import AvailabilityConfig, fitted
 from lanebound.agents.studies.availability import work_city as work_training_city
-from lanebound.agents.studies.route_drives import Leg, RouteMotion
+from lanebound.agents.studies.route_drives import Leg, RouteMotion, _profile
 from lanebound.integrity.motion.drive import DriveConfig
 from lanebound.integrity.sky.journeys.streets import EdgeStations
 from lanebound.integrity.sky.maps.generated import generated_map, map_seed
 from lanebound.integrity.sky.maps.graph import StreetGraph
+from lanebound.integrity.sky.road import Road
 
 DT_S = 0.1
 
@@ -105,3 +106,17 @@ def test_a_short_run_of_journeys(tmp_path: Path) -> None:
     assert all(0.0 <= row["unusable_s"] <= row["time_s"] for row in rows.values())
     for name in ("results.json", "calibration.svg"):
         assert (tmp_path / "out" / name).is_file()
+
+
+def test_vehicles_are_slow_enough_at_both_ends_of_every_bend() -> None:
+    drive, road = DriveConfig(), Road.through([(0, 0), (100, 0), (100, 80), (180, 100)], corner_radius_m=12.0)
+    speed = _profile(road, np.full(road.arc_at_m.size, 14.0), drive)
+    step, turn = np.diff(road.arc_at_m), np.abs(np.diff(road.tangent_rad))
+    bend = turn > 1e-6
+    most = np.maximum(np.sqrt(drive.lateral_mps2 * step[bend] / turn[bend]), 3.0) + 1e-9
+    assert bend.any()
+    assert (speed[:-1][bend] <= most).all()
+    assert (speed[1:][bend] <= most).all()
+    assert (np.diff(speed**2) <= 2.0 * drive.acceleration_mps2 * step + 1e-9).all()
+    assert (-np.diff(speed**2) <= 2.0 * drive.braking_mps2 * step + 1e-9).all()
+    assert speed[0] == speed[-1] == 0.0
