@@ -12,8 +12,8 @@ The expected time of a study follows from a short measurement of its environment
 
 A training is one draw of an arm, for any number of episodes. Trainings are few, so intervals and tests are Student's,
 which assume normal means; a share that is equal in all trainings has the interval of Clopper and Pearson over all
-episodes, as if all had different seeds. All trainings of a place are evaluated on the same episodes, in the cities of
-their training: the intervals describe a repeated training, not other cities.
+episodes, as if all had different seeds. All trainings of a place are evaluated on the same episodes, in the environment
+of their training and in those of ``judged_in``: the intervals describe a repeated training, not other episodes.
 """
 
 from __future__ import annotations
@@ -76,16 +76,17 @@ def study_hours(study: LearningStudyConfig, course: Course) -> float:
     """
     paces = {env: measured(next(one for one in course.trainings if one.env == env).experiment(study))
              for env in study.envs}  # fmt: skip
-    learning_s = sum(_seconds(one.experiment(study), paces[one.env], study.test_seeds) for one in course.trainings)
+    episodes = study.test_seeds * (1 + len(study.judged_in))
+    learning_s = sum(_seconds(one.experiment(study), paces[one.env], episodes) for one in course.trainings)
     alone_s = sum(paces[env].alone_s * paces[env].decisions for env, _ in study.places)
-    return (learning_s + len(COMPARED) * study.test_seeds * alone_s) / 3600.0
+    return (learning_s + len(COMPARED) * episodes * alone_s) / 3600.0
 
 
-def _seconds(planned: ExperimentConfig, pace: Pace, test_seeds: int) -> float:
+def _seconds(planned: ExperimentConfig, pace: Pace, episodes: int) -> float:
     checkpoints = -(-planned.steps // planned.checkpoint_steps)
     shown = 0 if planned.imitation is None else planned.imitation.total(planned.count)
     checkpoints += planned.imitation is not None
-    judged = (checkpoints * planned.evaluation_episodes + test_seeds) * pace.decisions
+    judged = (checkpoints * planned.evaluation_episodes + episodes) * pace.decisions
     return (planned.steps + shown + judged) * pace.learning_s
 
 
@@ -116,6 +117,7 @@ def _each(step: Callable[[], Any]) -> float:
     return passed / count
 
 
+OWN = "own"  # the environment of the training, among those in which a policy is evaluated
 SHOWN = ("return", "cost", "over_cost_limit", "harm", "collision", "off_road", "lane_departure", "throughput")
 """Metrics of the summary, by their names in the benchmark."""
 PRIMARY = ("return", "cost", "harm")
@@ -123,23 +125,33 @@ PRIMARY = ("return", "cost", "harm")
 RATES = ("over_cost_limit", "collision", "off_road", "lane_departure")
 
 
-def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+def summarise(
+    parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]], where: str = OWN
+) -> dict[str, Any]:
     """Means of each arm over its trainings with 95 % intervals, and paired differences from other arms.
+
+    ``where`` is the environment of the episodes. In another than that of the training, each arm is also compared with
+    itself in its own (``own``): the gap of generalisation.
 
     Trainings with the same seed are paired. ``parts`` are the finished trainings of a place, each with its ``arm``,
     ``seed``, ``limit`` of an episode's cost and ``episodes`` of :func:`~.evaluation.drive_all`; ``kept`` is the number
     of those within the limit (:func:`keeps`).
     """
+    parts, in_training = evaluated_in(parts, where), parts
     episodes = sum(len(part["episodes"]) for part in parts) // max(len(parts), 1)
     kept = Counter(part["arm"] for part in parts if keeps(part))
-    by_arm = {arm: {part["seed"]: _means(part["episodes"]) for part in parts if part["arm"] == arm} for arm in arms}
+    by_arm, own = (
+        {arm: {part["seed"]: _means(part["episodes"]) for part in of if part["arm"] == arm} for arm in arms}
+        for of in (parts, in_training)
+    )
     return {
         "arms": {
             arm: {
                 "seeds": sorted(trainings),
                 "kept": kept[arm],
                 "means": {key: _estimate(trainings, key, episodes * len(trainings)) for key in SHOWN},
-                "less": {other: _differences(trainings, by_arm[other]) for other in arms[arm]},
+                "less": {other: _differences(trainings, by_arm[other]) for other in arms[arm]}
+                | ({OWN: _differences(trainings, own[arm])} if where != OWN else {}),
             }
             for arm, trainings in by_arm.items()
             if trainings
@@ -299,6 +311,9 @@ class LearningStudyConfig(Config):
     test_skip: int = Field(0, ge=0, le=9000, description="first held-out seeds left out, as they were inspected")
     experiment: Mapping[str, Any] = Field({}, description="common to all trainings: steps, settings ...")
     by_env: Mapping[str, Mapping[str, Any]] = Field({}, description="of the trainings of an id, over that")
+    judged_in: Mapping[str, Mapping[str, Any]] = Field(
+        {}, description="by a name: overrides of other environments in which all policies are also evaluated"
+    )
 
     @field_validator("envs")
     @classmethod
@@ -309,6 +324,13 @@ class LearningStudyConfig(Config):
     @classmethod
     def _own_is_of_ids(cls, own: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
         return {full_id(name).removeprefix("lanebound/"): value for name, value in own.items()}
+
+    @field_validator("judged_in")
+    @classmethod
+    def _own_is_taken(cls, names: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Mapping[str, Any]]:
+        if OWN in names:
+            raise ConfigError(f"judged_in.{OWN} stands for the environment of the training: use another name")
+        return names
 
     @model_validator(mode="after")
     def _arms_are_compared_with_arms(self) -> Self:
@@ -466,9 +488,10 @@ def run_learning_study(
     done = run_parts(out, list(by_name), partial(_learn, study, out, by_name), jobs, on_progress, budget_h=budget_h)
     there = {(part["env"], part["sky"]) for part in done.values()}
     beside = {
-        (env, sky): run(beside_suite(study, env, sky), out / "beside" / f"{env}-{sky}", jobs, left_h())
+        (env, sky, where): run(beside_suite(study, env, sky, where), out / "beside" / folder, jobs, left_h())
         for env, sky in study.places
-        if (env, sky) in there
+        for where in (OWN, *study.judged_in)
+        if (env, sky) in there and (folder := f"{env}-{sky}" + (f"-{where}" if where != OWN else ""))
     }
     return _written(study, course, done, beside, out)
 
@@ -481,18 +504,28 @@ def _learn(
     begun, planned = time.monotonic(), one.experiment(study)
     rows = train(planned, folder, stepped=lambda steps: advance(min(steps / planned.steps, 1.0)))
     episodes = judged(planned, folder, study.seeds_to_judge)
+    elsewhere = {
+        name: judged(planned.replace(overrides=deep_merge(planned.overrides, changed)), folder, study.seeds_to_judge)
+        for name, changed in study.judged_in.items()
+    }
     hours = (time.monotonic() - begun) / 3600.0
-    return {**one._asdict(), "limit": planned.limit(), "checkpoints": rows, "episodes": episodes, "hours": hours}
+    part = {**one._asdict(), "limit": planned.limit(), "checkpoints": rows, "episodes": episodes, "hours": hours}
+    return part | ({"elsewhere": elsewhere} if elsewhere else {})
 
 
 def judged(planned: ExperimentConfig, folder: Path, seeds: Sequence[int]) -> list[dict[str, float]]:
-    """Metrics of the best policy of a training on each of consecutive seeds."""
+    """Metrics of the best policy of a training on each of consecutive seeds, in the experiment's environment."""
     with one_thread():
         return drive_all(planned, load_model(folder / "best.zip", planned.algorithm), seeds)
 
 
-def beside_suite(study: LearningStudyConfig, env: str, sky: str) -> SuiteConfig:
-    """Packaged drivers on the held-out seeds of a place."""
+def evaluated_in(parts: Sequence[Mapping[str, Any]], where: str) -> list[Mapping[str, Any]]:
+    """Parts whose ``episodes`` are those of an environment of ``judged_in``, or as they are for ``own``."""
+    return [part if where == OWN else {**part, "episodes": part["elsewhere"][where]} for part in parts]
+
+
+def beside_suite(study: LearningStudyConfig, env: str, sky: str, where: str = OWN) -> SuiteConfig:
+    """Packaged drivers on the held-out seeds of a place, in an environment in which policies are evaluated."""
     return SuiteConfig.load(
         {
             "title": study.title,
@@ -501,7 +534,7 @@ def beside_suite(study: LearningStudyConfig, env: str, sky: str) -> SuiteConfig:
             "agents": {name: name for name in COMPARED},
             "reference": COMPARED[0],
             "seeds": {"split": "test", "count": study.test_seeds, "skip": study.test_skip},
-            "overrides": study.shared(env).get("overrides", {}),
+            "overrides": deep_merge(study.shared(env).get("overrides", {}), study.judged_in.get(where, {})),
         }
     )
 
@@ -510,7 +543,7 @@ def _written(
     study: LearningStudyConfig,
     course: Course,
     done: Mapping[str, Mapping[str, Any]],
-    beside: Mapping[tuple[str, str], Results],
+    beside: Mapping[tuple[str, str, str], Results],
     out: Path,
 ) -> dict[str, Any]:
     from lanebound.agents.studies.learning_page import curves_figure  # the page imports this module
@@ -525,12 +558,13 @@ def _written(
             {
                 "env": env,
                 "sky": sky,
+                "judged_in": where,
                 **summarise(
-                    [part for part in done.values() if (part["env"], part["sky"]) == (env, sky)], study.against
+                    [part for part in done.values() if (part["env"], part["sky"]) == (env, sky)], study.against, where
                 ),
                 "beside": means_of(results),
             }
-            for (env, sky), results in beside.items()
+            for (env, sky, where), results in beside.items()
         ],
         "kept": kept_more_often(list(done.values()), study.against),
     }
@@ -552,7 +586,8 @@ def shown(found: Mapping[str, Any]) -> Iterator[Shown]:
             for agent, means in place["beside"].items()
         ]
         heads = ("arm", "trained", "kept limit", *(key.replace("_", " ") for key in SHOWN))
-        yield f"{place['env']}, {place['sky']}: means over trainings, 95 %", (heads, rows)
+        judged_in = "" if place["judged_in"] == OWN else f", in {place['judged_in']}"
+        yield f"{place['env']}, {place['sky']}{judged_in}: means over trainings, 95 %", (heads, rows)
         differences = [
             (f"{arm} - {other}", *(tested(less[key]) for key in PRIMARY))
             for arm, of in place["arms"].items()

@@ -155,6 +155,23 @@ def test_an_arm_may_learn_in_a_way_of_its_own() -> None:
     assert own.overrides == {**STILL, "sky": "open"}
 
 
+def test_policies_are_also_judged_in_environments_of_their_own(tmp_path: Path) -> None:
+    """An episode of 2 s has two thirds of the decisions of one of 3 s; every arm has the difference from its own."""
+    study = small(arms={"blind": {}, "other": {"against": "blind"}}, judged_in={"brief": {"duration_s": 2.0}})
+    found = run_learning_study(study, tmp_path)
+    assert [place["judged_in"] for place in found["places"]] == ["own", "brief"]
+    assert [set(place["arms"]["other"]["less"]) for place in found["places"]] == [{"blind"}, {"blind", "own"}]
+    part = json.loads((tmp_path / "parts" / "CarFollowing-v0-open-other-0.json").read_text())
+    lengths = [of[0]["length"] for of in (part["episodes"], part["elsewhere"]["brief"])]
+    assert lengths == [15.0, 10.0]
+    own, brief = (place["arms"]["other"] for place in found["places"])
+    gap = brief["means"]["return"]["mean"] - own["means"]["return"]["mean"]
+    assert brief["less"]["own"]["return"]["difference"] == pytest.approx(gap)
+    assert (tmp_path / "beside" / "CarFollowing-v0-open-brief").is_dir()
+    with pytest.raises(ConfigError, match=r"judged_in.own stands for the environment of the training"):
+        small(judged_in={"own": {}})
+
+
 def test_the_filter_is_left_out_where_actions_do_not_accelerate() -> None:
     course = plan(small(envs=["UrbanCanyon", "CarFollowing"]))
     assert course.left_out == (("UrbanCanyon-v0", "filtered"),)
@@ -298,5 +315,5 @@ def test_the_command_prints_a_table_for_each_place(tmp_path: Path) -> None:
 
 
 def test_studies_of_another_kind_are_not_offered() -> None:
-    with pytest.raises(ConfigError, match="study 'urban_drive' is unknown: known are value_of_integrity"):
+    with pytest.raises(ConfigError, match="study 'urban_drive' is unknown: known are cities, value_of_integrity"):
         load_study("urban_drive")
