@@ -1,8 +1,9 @@
 """What drivers and policies keep in cities that nothing was tuned on: the shipped ones, in tuned cities and in others.
 
 The episodes of an id have the same seeds in both: the same traffic, hours and sensor noise, and another city. Tuned are
-the four cities of the default, in which the policies were trained; test are the 100 of the split ``test``, and varied
-the same with streets that are drawn too (``cities.vary``). The gap is the paired difference from the tuned ones.
+the four cities of the default, in which the policies were trained; test are the 100 of the split ``test``, varied the
+same with streets that are drawn too (``cities.vary``), and roads the test cities along other roads, where an id has
+roads by number (``world.layout``). The gap is the paired difference from the tuned ones.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ CITIES: dict[str, dict[str, Any]] = {
     "test": {"split": "test", "count": 100, "vary": False},
     "varied": {"split": "test", "count": 100, "vary": True},
 }
+ROADS, LAYOUTS = "roads", range(100, 108)  # numbers of roads that nothing was tuned on
 JUDGED: dict[str, Better] = {"reward": "higher", "cost": "lower", "available": "higher"}
 
 
@@ -63,9 +65,28 @@ class GeneralisationConfig(Config):
     seeds: int = Field(32, ge=2, le=1000, description="episodes of each id and driver, held-out seeds")
     overrides: Mapping[str, Any] = Field({}, description="of the environments' configuration, merged deeply")
 
-    def changes(self, cities: str) -> dict[str, Any]:
-        """The configuration of an id in cities of a kind."""
-        return deep_merge(self.overrides, {"cities": CITIES[cities], "observation": {"form": "flat"}})
+    def changes(self, cities: str, layout: int | None = None) -> dict[str, Any]:
+        """The configuration of an id in cities of a kind, on a road by its number where one is given."""
+        road = {} if layout is None else {"world": {"layout": layout}}
+        given = {"cities": CITIES["test" if cities == ROADS else cities], "observation": {"form": "flat"}, **road}
+        return deep_merge(self.overrides, given)
+
+    def drives(self, cities: str) -> list[tuple[dict[str, Any], int, int]]:
+        """Configuration, first seed and number of episodes; on roads an equal share of the seeds for each."""
+        first = SPLITS["test"][0]
+        if cities != ROADS:
+            return [(self.changes(cities), first, self.seeds)]
+        ends = np.linspace(0, self.seeds, len(LAYOUTS) + 1).astype(int).tolist()
+        shares = zip(LAYOUTS, ends, ends[1:], strict=False)
+        return [(self.changes(ROADS, layout), first + at, end - at) for layout, at, end in shares if end > at]
+
+
+def kinds_of(env: str) -> tuple[str, ...]:
+    """The kinds of cities in which an id is driven."""
+    with closing(open_env(full_id(env), {"sky": "open", "faults": "none"})) as single:
+        world: Any = single.unwrapped.get_wrapper_attr("world")
+        roads = "layout" in world.default_config()
+    return (*CITIES, ROADS) if roads else tuple(CITIES)
 
 
 def assess_cities(
@@ -94,7 +115,7 @@ def assess_cities(
 def _of_id(config: GeneralisationConfig, env: str, advance: Advance) -> dict[str, Any]:
     """Figures of each episode, by driver and kind of cities."""
     found: dict[str, Any] = {driver: {} for driver in config.drivers}
-    pairs = [(driver, cities) for cities in CITIES for driver in config.drivers]
+    pairs = [(driver, cities) for cities in kinds_of(env) for driver in config.drivers]
     for done, (driver, cities) in enumerate(pairs, 1):
         found[driver][cities] = _driven(config, env, driver, cities)
         advance(done / len(pairs))
@@ -103,9 +124,14 @@ def _of_id(config: GeneralisationConfig, env: str, advance: Advance) -> dict[str
 
 def _driven(config: GeneralisationConfig, env: str, driver: str, cities: str) -> dict[str, list[float]]:
     """Reward, cost and share of usable decisions of each episode, and whether it succeeds."""
-    count = config.seeds
+    shares = [_episodes(env, driver, *drive) for drive in config.drives(cities)]
+    return {name: np.concatenate([of[name] for of in shares]).tolist() for name in shares[0]}
+
+
+def _episodes(env: str, driver: str, changes: Mapping[str, Any], first_seed: int, count: int) -> dict[str, Array]:
+    """The same, of consecutive seeds in one configuration."""
     steps, success, sums = np.zeros(count), np.zeros(count), {name: np.zeros(count) for name in JUDGED}
-    for infos, going, over, envs in first_episodes(env, config.changes(cities), driver, count, SPLITS["test"][0]):
+    for infos, going, over, envs in first_episodes(env, changes, driver, count, first_seed):
         weights = envs.config.reward
         reward = sum(getattr(weights, term) * infos["rewards"][term] for term in TERMS)
         of_step = {"reward": reward, "cost": infos["cost"], "available": infos["available"]}
@@ -113,8 +139,7 @@ def _driven(config: GeneralisationConfig, env: str, driver: str, cities: str) ->
             sums[name] += np.where(going, values, 0.0)
         steps += going
         success += going & over & infos["is_success"]
-    sums["available"] /= steps
-    return {name: values.tolist() for name, values in {**sums, "success": success}.items()}
+    return {**sums, "available": sums["available"] / steps, "success": success}
 
 
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:
@@ -123,7 +148,7 @@ def tables(found: Mapping[str, Any]) -> dict[str, Table]:
     Bold: clear after Holm's method over the table.
     """
     cases = [(env, driver, part) for env, drivers in found["envs"].items() for driver, part in drivers.items()]
-    others = [(at, cities, name) for at in range(len(cases)) for cities in list(CITIES)[1:] for name in JUDGED]
+    others = [(at, cities, name) for at, case in enumerate(cases) for cities in list(case[2])[1:] for name in JUDGED]
     gaps = {
         (at, cities, name): difference(
             np.array(cases[at][2][cities][name]), np.array(cases[at][2][TUNED][name]), JUDGED[name]
@@ -133,7 +158,7 @@ def tables(found: Mapping[str, Any]) -> dict[str, Table]:
     adjusted = dict(zip(gaps, holm([1.0 if gap.p is None else gap.p for gap in gaps.values()]), strict=True))
     rows = []
     for at, (env, driver, part) in enumerate(cases):
-        for cities in CITIES:
+        for cities in part:
             cells = []
             for name in JUDGED:
                 unit, key = 100.0 if name == "available" else 1.0, (at, cities, name)

@@ -11,16 +11,26 @@ import pytest
 from lanebound.agents.benchmark.suite import SPLITS
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes.opening import open_env
-from lanebound.agents.studies.cities import CITIES, SECTIONS, GeneralisationConfig, assess_cities, tables
+from lanebound.agents.studies.cities import (
+    CITIES,
+    LAYOUTS,
+    ROADS,
+    SECTIONS,
+    GeneralisationConfig,
+    assess_cities,
+    kinds_of,
+    tables,
+)
 from lanebound.integrity.core.errors import InputError
 
 SHORT: dict[str, Any] = {"extent_m": 300.0, "duration_s": 3.0}
 CONFIG = GeneralisationConfig.load({"envs": ["LaneKeeping"], "drivers": ["nominal"], "seeds": 3, "overrides": SHORT})
 
 
-def driven(cities: str, seed: int) -> tuple[float, float, float]:
+def driven(cities: str, number: int) -> tuple[float, float, float]:
     """Reward, cost and share of usable decisions of an episode of a single environment."""
-    env = open_env("lanebound/LaneKeeping-v0", CONFIG.changes(cities))
+    layout = LAYOUTS[-(-(number + 1) * len(LAYOUTS) // CONFIG.seeds) - 1] if cities == ROADS else None
+    env, seed = open_env("lanebound/LaneKeeping-v0", CONFIG.changes(cities, layout)), SPLITS["test"][0] + number
     agent, (observation, _), found = make_agent("nominal", env), env.reset(seed=seed), []
     over, state, start = False, None, True
     while not over:
@@ -35,13 +45,14 @@ def driven(cities: str, seed: int) -> tuple[float, float, float]:
 def test_figures_are_those_of_single_episodes_in_the_same_cities(tmp_path: Path) -> None:
     found = assess_cities(CONFIG, tmp_path)
     part = found["envs"]["LaneKeeping"]["nominal"]
-    assert tuple(part) == tuple(CITIES)
+    assert tuple(part) == (*CITIES, ROADS)
+    assert kinds_of("Merge") == tuple(CITIES)
     for cities, figures in part.items():
         for n in range(CONFIG.seeds):
-            own = driven(cities, SPLITS["test"][0] + n)
+            own = driven(cities, n)
             assert [figures[name][n] for name in ("reward", "cost", "available")] == pytest.approx(own, abs=1e-9)
     heads, rows = tables(found)[SECTIONS[0]]
-    assert [row[2] for row in rows] == list(CITIES)
+    assert [row[2] for row in rows] == [*CITIES, ROADS]
     assert all(len(row) == len(heads) for row in rows)
     assert rows[0][5] == "", "the tuned cities have no gap to themselves"
     assert assess_cities(CONFIG, tmp_path)["envs"] == found["envs"]  # as kept
