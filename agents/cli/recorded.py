@@ -122,6 +122,14 @@ def rtk(
     rover_position: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="True antenna of a rover that stands, to count errors.")
     ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="True positions of a rover that moves: a table with columns 'GPS TOW (s)', 'ECEF X (m)', "
+            "'ECEF Y (m)', 'ECEF Z (m)'.",
+        ),
+    ] = None,
     static: Annotated[
         bool, typer.Option("--static", help="The rover stands: one position for all epochs helps to find integers.")
     ] = False,
@@ -139,8 +147,9 @@ def rtk(
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 
-    for option, path in (("--rover", rover), ("--base", base), *(("--nav", path) for path in nav)):
-        if not path.is_file():
+    files = ("--rover", rover), ("--base", base), *(("--nav", path) for path in nav), ("--truth", truth)
+    for option, path in files:
+        if path is not None and not path.is_file():
             raise InputError(f"{option} must be a file that exists, got {path}: correct the path")
     config = BaselineConfig.build(None, changes(assignments, static=static or None))
     at_base, at_rover = (None if text is None else read_coordinates(text) for text in (base_position, rover_position))
@@ -148,7 +157,15 @@ def rtk(
         out,
         "RTK solution",
         lambda report: run_baseline(
-            rover, base, nav, out, base_ecef_m=at_base, rover_ecef_m=at_rover, config=config, progress=report
+            rover,
+            base,
+            nav,
+            out,
+            base_ecef_m=at_base,
+            rover_ecef_m=at_rover,
+            truth=truth,
+            config=config,
+            progress=report,
         ),
     )
     if as_json:
@@ -407,7 +424,10 @@ def print_rtk(found: dict[str, Any]) -> None:
     _print_rtk_notes(found)
     errors = found.get("errors", {})
     if errors:
-        head = ("epochs", "axis", "n", "largest horizontal m", "above PL", "exact 95 % interval", "median PL m")
+        head = (
+            "epochs", "axis", "n", "horizontal m: median", "95 %", "largest", "above PL", "exact 95 % interval",
+            "median PL m",
+        )  # fmt: skip
         print_table("Errors", head, [row for name in errors for row in _bounding_rows(name, errors[name])])
         typer.echo(found["caution"])
 
@@ -476,7 +496,8 @@ def _likely(found: dict[str, Any]) -> str:
 def _bounding_rows(name: str, found: dict[str, Any]) -> list[list[Any]]:
     return [
         [
-            name, axis, found[axis]["epochs"], found.get("horizontal_max_m"), found[axis]["exceeded"],
+            name, axis, found[axis]["epochs"], *(found.get(f"horizontal_{key}_m") for key in ("median", "95", "max")),
+            found[axis]["exceeded"],
             f"{found[axis]['rate_low']:.2g} to {found[axis]['rate_high']:.2g}", found[axis]["pl_median_m"],
         ]
         for axis in ("at", "ct")

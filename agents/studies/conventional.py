@@ -37,7 +37,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import enu_axes, track_from_enu_matrix
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.recorded.rtklib import FIXED, FLOAT, read_reference, read_rtk_solution
+from lanebound.integrity.recorded.rtklib import FIXED, FLOAT, MATCHED_S, read_reference, read_rtk_solution
 from lanebound.integrity.replay.sensor_checks import require_same_times
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sky.systems import WAVELENGTH_M
@@ -185,7 +185,6 @@ def sky_rows(result: Mapping[str, Any]) -> Table:
 
 SOLUTION, REFERENCE = "rover_rtk.pos", "reference.csv"  # files of the folder, as in nagoya_drive_rtk
 EVERY_S = 0.2  # between epochs of the conventional solution, as recorded
-MATCHED_S = 0.02  # largest time between a solution and its reference
 
 
 class RtkRealismConfig(StreetDrivesConfig):

@@ -5,7 +5,8 @@ minutes and seconds, xyz, enu), ``out-timeform`` (week and time of week, or date
 ``out-fieldsep``, with or without velocities (``out-outvel``). Which they are, the line with the names of the columns
 says; without it llh in GPS time is assumed. Baselines (enu) need ``ref pos`` of the head. The reference is a table with
 a header, as in the MatRTKLIB examples: columns ``GPS TOW (s)``, ``ECEF X (m)``, ``ECEF Y (m)`` and ``ECEF Z (m)`` among
-others, and ``GPS Week`` and ``Heading (deg)`` if known.
+others, and ``GPS Week`` and ``Heading (deg)`` if known; ``GPS time``, ``X``, ``Y`` and ``Z`` are
+short names of the first four.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from lanebound.integrity.recorded.source import (
     unrolled,
 )
 
-__all__ = ["FIXED", "FLOAT", "ReferenceTrack", "RtkSolution", "read_reference", "read_rtk_solution"]
+__all__ = ["FIXED", "FLOAT", "MATCHED_S", "ReferenceTrack", "RtkSolution", "read_reference", "read_rtk_solution"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -68,6 +69,8 @@ REFERENCE_COLUMNS = {
     "GPS TOW (s)": (0.0, 604_800.0), "ECEF X (m)": (-1e8, 1e8), "ECEF Y (m)": (-1e8, 1e8), "ECEF Z (m)": (-1e8, 1e8),
 }  # fmt: skip
 OPTIONAL_COLUMNS = {"GPS Week": (0.0, 1e4), "Heading (deg)": (-360.0, 360.0)}
+SHORT_NAMES = {"GPS time": "GPS TOW (s)", "X": "ECEF X (m)", "Y": "ECEF Y (m)", "Z": "ECEF Z (m)"}  # of other sources
+MATCHED_S = 0.02  # largest time between a solution and its reference
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,15 @@ class ReferenceTrack:
         """GPS times (T,) as times of week of this track; without a week it is that of the first time."""
         week = self.week if self.week is not None else round((float(gps_time_s[0]) - self.tow_s[0]) / WEEK_S)
         return np.asarray(gps_time_s - week * WEEK_S)
+
+    def at(self, gps_time_s: Array) -> Array:
+        """True positions (T, 3) ECEF [m] at GPS times (T,): those within MATCHED_S, NaN where there is none."""
+        time = self.since_start(gps_time_s)
+        last = self.tow_s.size - 1
+        after = np.clip(np.searchsorted(self.tow_s, time), 0, last)
+        near = np.where(np.abs(self.tow_s[after] - time) <= np.abs(self.tow_s[after - 1] - time), after, after - 1)
+        known = np.abs(self.tow_s[near] - time) <= MATCHED_S
+        return np.where(known[:, None], self.position_ecef_m[near], np.nan)
 
 
 @dataclass
@@ -283,7 +295,7 @@ def _base(text: str) -> Array | None:
 
 def _positions(heads: list[str], path: str | Path) -> list[int]:
     """Index of each column of a reference; -1 for an optional one that it lacks."""
-    names = [head.strip() for head in heads]
+    names = [SHORT_NAMES.get(head.strip(), head.strip()) for head in heads]
     for wanted in REFERENCE_COLUMNS:
         if wanted not in names:
             raise InputError(f"{path}, line 1 must name a column '{wanted}', got none: is it a reference trajectory?")

@@ -25,6 +25,7 @@ from lanebound.integrity.core.frames import (
 from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.positioning.modes import Mode, RtkStatus
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations, read_observations
+from lanebound.integrity.recorded.rtklib import MATCHED_S, ReferenceTrack, read_reference
 from lanebound.integrity.recorded.source import finite_number
 from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.baseline import (
@@ -236,21 +237,26 @@ CAUTION = (
 
 def run_baseline(
     rover: Path, base: Path, navigation: Sequence[Path], out: Path, *, base_ecef_m: Array | None = None,
-    rover_ecef_m: Array | None = None, config: BaselineConfig | None = None, progress: Progress = silent,
-    given: GivenBy = OPTIONS,
+    rover_ecef_m: Array | None = None, truth: Path | None = None, config: BaselineConfig | None = None,
+    progress: Progress = silent, given: GivenBy = OPTIONS,
 ) -> tuple[dict[str, Any], list[Path]]:  # fmt: skip
     """Solve RINEX files of a rover, a base and their navigation, which are merged.
 
     Writes ``solution.csv`` and ``rtk.json`` into ``out``.
     ``base_ecef_m`` and ``rover_ecef_m`` (3,) are antenna reference points: of the base, by default that of its header,
-    and of a rover that stands, if its true position is known; errors are then reported. ``progress`` is called with the
-    number of solved epochs and the total number. ``given`` names the inputs of the positions in messages.
+    and of a rover that stands, if its true position is known; ``truth`` is a table of the true positions of one that
+    moves (:func:`~..recorded.rtklib.read_reference`). Errors are then reported. ``progress`` is called with the number
+    of solved epochs and the total number. ``given`` names the inputs of the positions in messages.
 
     Raises
     ------
     InputError
-        A file is invalid, the files do not belong together, or the codes contradict a position that is given.
+        A file is invalid, the files do not belong together, the codes contradict a position that is given, or the rover
+        has two true positions, or none at its epochs.
     """
+    if truth is not None and rover_ecef_m is not None:
+        raise InputError(f"a rover that stands has {given.rover}, one that moves --truth, got both: leave one out")
+    track = None if truth is None else read_reference(truth)
     if Path(rover).resolve() == Path(base).resolve():
         raise InputError(f"rover and base must be files of two receivers, got {rover} twice: correct one of the paths")
     rover_data, base_data = read_observations(rover), read_observations(base)
@@ -284,7 +290,7 @@ def run_baseline(
             "rover": rover_data.header.antenna_delta_enu_m,
             "base": base_data.header.antenna_delta_enu_m,
         },
-        **summarise(solved, rover_ecef_m),
+        **summarise(solved, rover_ecef_m if track is None else _true_places(solved, track, truth)),
     }
     if rover_ecef_m is not None:
         summary |= {"rover_from_codes_m": away[1], "fixed_baseline": baseline_fit(solved, rover_ecef_m)}
@@ -295,6 +301,19 @@ def run_baseline(
         writer.writerow(HEAD)
         writer.writerows(_rows(solved))
     return summary, written
+
+
+def _true_places(solved: Baseline, track: ReferenceTrack, path: Path | None) -> Array:
+    """True positions (T, 3) of the epochs of the rover ECEF [m], NaN where the track has none."""
+    found = track.at(solved.week * WEEK_S + solved.tow_s)
+    if np.isnan(found).all():
+        first, last = (f"{t:.1f}" for t in track.tow_s[[0, -1]])
+        raise InputError(
+            f"--truth must have positions within {MATCHED_S:g} s of epochs of the rover (time of week "
+            f"{solved.tow_s[0]:.1f} to {solved.tow_s[-1]:.1f} s), got {path} with {first} to {last} s: use the track "
+            "of the same drive in GPS time"
+        )
+    return found
 
 
 def _distance_to_header(place: Array, header: Array | None) -> float | None:
@@ -318,7 +337,10 @@ def _rows(solved: Baseline) -> Iterator[list[Any]]:
 
 
 def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, Any]:
-    """Statistics of a solution as JSON data; epochs are those of the rover."""
+    """Statistics of a solution as JSON data; epochs are those of the rover.
+
+    ``rover_ecef_m`` is the true position (3,) of a rover that stands, or that of each epoch (T, 3), NaN for none.
+    """
     fixed, there, modes = solved.fixed, solved.mode != Mode.NONE, np.bincount(solved.mode, minlength=len(Mode))
     found: dict[str, Any] = {
         "epochs": len(solved.tow_s), "fixed": int(fixed.sum()), "fixed_share": float(fixed.mean()),
@@ -375,17 +397,20 @@ def _lacking(solved: Baseline, waiting: NDArray[np.bool_]) -> dict[str, Any]:
 
 def _errors(solved: Baseline, rover_ecef_m: Array) -> dict[str, Any]:
     """Errors against the true position, for fixed epochs and for all epochs with a position, and doubts of levels."""
-    true = (rover_ecef_m - solved.base_ecef_m) @ enu_axes(solved.base_ecef_m)
+    true = np.broadcast_to((rover_ecef_m - solved.base_ecef_m) @ enu_axes(solved.base_ecef_m), solved.enu_m.shape)
+    known = np.isfinite(true[:, 0])
     out: dict[str, Any] = {}
     doubts = []
-    for name, keep in (("fixed", solved.fixed), ("all", solved.mode != Mode.NONE)):
+    for name, keep in (("fixed", solved.fixed & known), ("all", (solved.mode != Mode.NONE) & known)):
         if not keep.any():
             continue
-        off = solved.enu_m[keep] - true
+        off = solved.enu_m[keep] - true[keep]
         track = (track_from_enu_matrix(solved.heading_rad[keep]) @ off[:, :2, None])[..., 0]
         doubts.append(doubt(solved.risk, track, solved.pl_m[keep], f"{name} epochs"))
         out[name] = {
-            "horizontal_max_m": float(np.hypot(*off[:, :2].T).max()),
+            "horizontal_median_m": float(np.median(horizontal := np.hypot(*off[:, :2].T))),
+            "horizontal_95_m": float(np.quantile(horizontal, 0.95)),
+            "horizontal_max_m": float(horizontal.max()),
             "spatial_max_m": float(np.linalg.norm(off, axis=1).max()),
             "mean_enu_m": off.mean(0).tolist(),
             **bounding_by_axis(track, solved.pl_m[keep]),

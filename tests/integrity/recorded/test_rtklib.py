@@ -188,7 +188,7 @@ def test_damage_of_a_solution_is_named(tmp_path: Path, old: str, new: str, messa
 
 def test_damage_of_a_reference_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="line 1 must name a column 'ECEF Y"):
-        read_reference(written(tmp_path, RTK_REFERENCE.replace("ECEF Y (m)", "Y")))
+        read_reference(written(tmp_path, RTK_REFERENCE.replace("ECEF Y (m)", "North")))
     with pytest.raises(InputError, match=r"line 2, ECEF X .* must be a number"):
         read_reference(written(tmp_path, RTK_REFERENCE.replace("-3810228.582", "far", 1)))
     with pytest.raises(InputError, match="must hold at least one position"):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from baselines import AXES, PLACE, navigation_text, observation_text, receiver, sky
+from baselines import AXES, PLACE, TOW, navigation_text, observation_text, receiver, sky
 from typer.testing import CliRunner, Result
 
 from lanebound.agents.cli import app
@@ -179,3 +179,28 @@ def test_a_replayed_folder_names_its_files(folder: Path, tmp_path: Path) -> None
         (pair / f"{name}_position.txt").write_text(" ".join(f"{v:.4f}" for v in place))
     with pytest.raises(InputError, match=r"from rover_position\.txt, .* correct rover_position\.txt"):
         replay_folder(pair, tmp_path / "out")
+
+
+def test_errors_of_a_rover_that_moves_are_counted_against_its_true_positions(folder: Path, tmp_path: Path) -> None:
+    """Epochs without a true position are left out; a track 3 m off contradicts every level of the fixed epochs."""
+    times = np.arange(0.0, 8.0)
+    places = ROVER + 20.0 * times[:, None] * AXES[:, 0]
+
+    def table(shift_m: float, shift_s: float, columns: str = "GPS time,X,Y,Z") -> Path:
+        rows = [f"{TOW + t + shift_s:.3f},{','.join(f'{v:.4f}' for v in place + shift_m)}"
+                for t, place in zip(times[:5], places, strict=False)]  # fmt: skip
+        (tmp_path / "truth.csv").write_text("\n".join([columns, *rows]) + "\n")
+        return tmp_path / "truth.csv"
+
+    found = solve(folder, tmp_path / "a", "car", truth=table(0.0, 0.01))
+    errors = found["errors"]["fixed"]
+    assert errors["at"]["epochs"] == min(found["fixed"], 5)
+    assert errors["horizontal_median_m"] <= errors["horizontal_95_m"] <= errors["horizontal_max_m"] < 0.03
+    assert errors["at"]["exceeded"] == errors["ct"]["exceeded"] == 0
+    off = solve(folder, tmp_path / "b", "car", truth=table(3.0, 0.0, "GPS TOW (s),ECEF X (m),ECEF Y (m),ECEF Z (m)"))
+    assert off["errors"]["fixed"]["horizontal_median_m"] > 2.0
+    assert "errors exceed their levels in 5 of 5 fixed epochs" in off["doubt"]
+    with pytest.raises(InputError, match=r"--truth must have positions within 0.02 s of epochs .* in GPS time"):
+        solve(folder, tmp_path / "c", "car", truth=table(0.0, 0.4))
+    with pytest.raises(InputError, match="got both: leave one out"):
+        solve(folder, tmp_path / "d", "car", truth=table(0.0, 0.0), rover_ecef_m=ROVER)
