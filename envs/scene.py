@@ -15,16 +15,19 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.episodes import Episodes, empty_cars, reach_of
 from lanebound.envs.batch.faults import NO_FAULTS
+from lanebound.envs.batch.lanes import LaneTable
 from lanebound.envs.batch.navigation import NavigationBatch, Starts, draw_starts
 from lanebound.envs.batch.perception import PerceptionBatch
 from lanebound.envs.batch.route_map import routes_of
 from lanebound.envs.batch.rules import rules_of
-from lanebound.envs.batch.skies import HOURS, Cities, Skies
+from lanebound.envs.batch.skies import HOURS, Cities, Sites, Skies
 from lanebound.envs.config import EnvConfig, FaultLevel
 from lanebound.envs.info import FAULT_INFO
 from lanebound.envs.recordings import recordings_of
+from lanebound.envs.records import LaneIndex
 from lanebound.envs.road_map import road_map_of
-from lanebound.envs.sky import Section, SkyLevel, Street, build_street
+from lanebound.envs.sky import LaneMap, Section, SkyLevel, Street, build_street
+from lanebound.envs.sky.build import SPACING_M
 from lanebound.envs.worlds import world_kind
 from lanebound.envs.worlds.street_maps import map_place
 from lanebound.integrity.core.config_errors import joined
@@ -108,55 +111,70 @@ def make_batch(
     vehicles : that there may be in each
     capacity : slots of the others
     """
-    first, slots = config.cities.seed_of(0), min(config.cities.number, count + waiting)
-    streets = Streets.of(world, config)
-    return _episodes(world, config, streets, first, streets(first), slots, range(HOURS), count, vehicles, capacity)
+    streets, first = Streets.of(world, config), (config.cities.seed_of(0), 0)
+    slots = min(config.cities.number * len(streets.networks), count + waiting)
+    return _episodes(world, config, streets, first, streets(*first), slots, range(HOURS), count, vehicles, capacity)
 
 
 @dataclass(frozen=True)
 class Streets:
-    """Makes the streets of cities along the roads of a world, or of its map."""
+    """Makes the streets of cities along the roads of a world, or of its map, at each site of its network."""
 
-    network: RoadNetwork
+    networks: tuple[RoadNetwork, ...]
     level: SkyLevel
     sections: tuple[Section, ...]
     extent_m: float
     vary: bool
-    surroundings: City | None
+    surroundings: tuple[City, ...]
+    widest: int
 
     @classmethod
     def of(cls, world: AbstractEnv, config: EnvConfig) -> Self:
         """Of a world."""
         sections, around = tuple(getattr(world, "sections", ())), _around(world, config.extent_m)
-        return cls(world.road.network, config.level, sections, config.extent_m, config.cities.vary, around)
+        whole, sites = world.road.network, len(getattr(world.road.network, "sites", ()))
+        networks = tuple(whole.alone(k) for k in range(sites)) or (whole,)
+        widest = max(len(lanes) for ends in whole.graph.values() for lanes in ends.values()) if sites else 0
+        return cls(networks, config.level, sections, config.extent_m, config.cities.vary, around, widest)
 
-    def __call__(self, seed: int) -> Street:
-        level = self.level.of_city(seed) if self.vary else self.level
-        return build_street(self.network, level, seed, self.sections, self.extent_m, self.surroundings)
+    def __call__(self, seed: int, site: int) -> Street:
+        level, network = self.level.of_city(seed) if self.vary else self.level, self.networks[site]
+        around = self.surroundings[site] if self.surroundings else None
+        return build_street(network, level, seed, self.sections, self.extent_m, around, widest=self.widest)
+
+    def site_of(self, index: LaneIndex) -> int:
+        """The site of a lane."""
+        return next((k for k, one in enumerate(self.networks) if index[1] in one.graph.get(index[0], ())), 0)
+
+    def sites(self, table: LaneTable) -> Sites:
+        """Where the lanes of a table are."""
+        number = np.zeros(len(table.index), dtype=np.int64)
+        begin_m, reach_m, stations = np.zeros(len(table.index)), np.zeros(len(table.index)), 0
+        for k, network in enumerate(self.networks):
+            lanes = LaneMap.of(network, self.extent_m, SPACING_M)
+            for index, reach in lanes.reach_m.items():
+                row = table.row[index]
+                number[row], begin_m[row], reach_m[row] = k, lanes.offset_m[index[:2]], reach
+            stations = max(stations, lanes.count)
+        return Sites(number, begin_m, reach_m, stations)
 
 
-def _around(world: AbstractEnv, extent_m: float) -> City | None:
-    """The obstacles of a world's map, None without one.
+def _around(world: AbstractEnv, extent_m: float) -> tuple[City, ...]:
+    """The obstacles of a world's map at each site, none without a map.
 
     Raises
     ------
     ConfigError
         A road of the map is longer than ``extent_m``, up to which the sky of a road is computed.
     """
-    around: City | None = getattr(world, "surroundings", None)
-    if around is not None:
+    around: tuple[City, ...] = getattr(world, "surroundings", ())
+    if around:
         longest = max(float(lane.length) for lane in world.road.network.lanes_list())
         if longest > extent_m:
             raise ConfigError(
                 f"extent_m must be {longest:.0f} m or more with this world.map, got {extent_m:g}: raise it"
             )
     return around
-
-
-def _street(world: AbstractEnv, config: EnvConfig, layout: int) -> Street:
-    """The street of a world with the obstacles of its map, or with those of a city."""
-    given = getattr(world, "sections", ()), config.extent_m, _around(world, config.extent_m)
-    return build_street(world.road.network, config.level, layout, *given)
 
 
 def begin_all(
@@ -184,7 +202,7 @@ def _episodes(
     world: AbstractEnv,
     config: EnvConfig,
     streets: Streets,
-    city: int,
+    city: tuple[int, int],
     street: Street,
     slots: int,
     hours: Sequence[int],
@@ -194,7 +212,7 @@ def _episodes(
 ) -> Episodes:
     """N episodes at some hours, of up to V vehicles, of which C others have a slot.
 
-    city, street, slots : seed of the first city, its street, and how many there are at a time
+    city, street, slots : seed and site of the first city, its street, and how many there are at a time
     """
     settings = navigator_config(config, alert_limits_m(world, config))
     uses_sensors = config.navigation.source.uses_sensors
@@ -207,7 +225,7 @@ def _episodes(
     if uses_sensors or navigate:
         span_s = config.navigation.warm_up_s + duration_s(config, world) + MARGIN_S
         skies = Skies.of(settings.sky, span_s, hours)
-        cities = Cities(streets, routes.table, slots, city, street)
+        cities = Cities(streets, streets.sites(routes.table), slots, city, street)
         members = 1 + (capacity if navigate else 0)
         navigation = NavigationBatch(
             config.navigation, settings, skies, cities, cities.ahead(config.observation.satellites_m),
@@ -249,8 +267,9 @@ def set_scene(
     capacity = min(config.slots, others + (0 if kind is None else kind.newcomers))
     crew = np.ones((1, capacity if config.perception.others_navigate else 0), dtype=np.bool_)
     starts = draw_starts([seed], config.cities, HOURS, crew, config.navigation.source.uses_sensors)
-    city, hour, streets = int(starts.city[0]), int(starts.hour[0]), Streets.of(world, config)
-    street = streets(city)
+    hour, streets = int(starts.hour[0]), Streets.of(world, config)
+    city = int(starts.city[0]), streets.site_of(world.vehicle.lane_index)
+    street = streets(*city)
     episodes = _episodes(world, config, streets, city, street, 1, [hour], 1, 1 + others, capacity)
     navigation, ends_s = episodes.navigation, duration_s(config, world)
     if faults is not None:

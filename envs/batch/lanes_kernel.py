@@ -32,6 +32,7 @@ CLOTHOID_STEPS, SAMPLED_STEPS = 6, 8
 SQUARE_M = 8.0  # of the grid about a path, by which the search for a foot begins
 ADVICE_STEP_M = 2.0  # between the speeds that a curve advises
 NEAR_M = 1e-12
+FEW = 8  # lanes of a loop
 CLOSE = 1e-6  # relative to 1 m and the distance; rounding is a thousand times smaller up to 1000 km from the origin
 GAUSS_1, GAUSS_2, GAUSS_3 = 0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)
 
@@ -362,6 +363,25 @@ def _away(lane, x, y):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
+def _at_most(lane, x, y):  # type: ignore[no-untyped-def]
+    """A distance as of :func:`nearest` that that to a curve does not exceed: twice to the far side of its squares."""
+    return 2.0 * (_away(lane, x, y) + SQUARE_M * (lane.grid_columns + lane.grid_rows)) + math.pi
+
+
+@jit(borrows=True)
+def _bound(lanes, x, y):  # type: ignore[no-untyped-def]
+    """A distance that that to the nearest lane does not exceed, by which lanes of other sites are skipped."""
+    found = math.inf
+    if lanes.table.shape[0] > FEW:  # fewer lanes are searched as fast without it
+        for n in range(lanes.table.shape[0]):
+            lane = lanes.table[n]
+            if lane.kind != CURVE:
+                return math.inf
+            found = min(found, _at_most(lane, x, y))
+    return found
+
+
+@jit(borrows=True)
 def _on_circle(lane, x, y):  # type: ignore[no-untyped-def]
     """:func:`local` on a circular lane, rounded as by highway-env, so that ties of two lanes of a circle end alike."""
     dx, dy = x - lane.centre_x_m, y - lane.centre_y_m
@@ -380,6 +400,7 @@ def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
     """
     best, least, projected = 0, math.inf, -1
     foot, into, lateral = 0, 0.0, 0.0
+    bound = _bound(lanes, x, y)
     for n in range(lanes.table.shape[0]):
         lane = lanes.table[n]
         if lane.kind == STRAIGHT:
@@ -387,7 +408,7 @@ def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
             direction = lane.heading_rad
         elif lane.kind == CURVE:
             if projected != lane.cell_first:
-                if _away(lane, x, y) > least:
+                if _away(lane, x, y) > min(least, bound):
                     continue
                 foot, into, lateral = _project(lanes, lane, x, y)
                 projected = lane.cell_first
@@ -412,8 +433,13 @@ def closest(lanes, x, y, heading, extra_m):  # type: ignore[no-untyped-def]
     where the station jumps.
     """
     best, least, second, clear = 0, math.inf, math.inf, True
+    bound, most = _bound(lanes, x, y), 0.0
+    for n in range(extra_m.shape[0]):
+        most = max(most, extra_m[n])
     for n in range(lanes.table.shape[0]):
         lane = lanes.table[n]
+        if bound < math.inf and _away(lane, x, y) > bound + most + 1.0:  # no second nearest either
+            continue
         s, r, direction = local(lanes, n, x, y)
         distance = abs(r) + max(s - lane.length_m, 0.0) + max(-s, 0.0) + abs(wrap(heading - direction)) + extra_m[n]
         behind = lane.kind == CIRCLE and abs(s) >= (math.pi - CLOSE) * lane.radius_m

@@ -217,7 +217,7 @@ class NavigationBatch:
         """
         self._there[rows, 1:] = there
         self.hour[rows] = starts.hour
-        self.cities.settle(self.where, rows, starts.city)
+        self.cities.settle(self.where, rows, starts.city, cars["lane"][rows, 0])
         streams = CrewStreams(seeds, starts.fleet_seed.tolist(), there, self.skies.used[starts.hour])
         starter = self._one.another(streams)  # no fault begins before its episode
         motions = np.zeros((rows.size, self.vehicles), MOTION)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.batch.lanes import LaneTable
 from lanebound.envs.batch.motion_kernel import Whereabouts
 from lanebound.envs.batch.sky_ahead_kernel import Forecast, HourTable, SkyRows
 from lanebound.envs.sky import Street
@@ -131,8 +130,20 @@ def _hour(text: str, knots: int, hour: int) -> tuple[Array, Array]:
     return offset, rate
 
 
+class Sites(NamedTuple):
+    """Where the lanes (L,) of a network are: number of the site, arc of the beginning of each lane in a city there, up
+    to where the lane has stations [m]; and the largest number of stations of a site."""
+
+    number: Rows
+    begin_m: Array
+    reach_m: Array
+    stations: int
+
+
 class Cities:
     """The cities along the lanes of a network that episodes are in, each in a slot of one mask.
+
+    A city at one of several sites of the network is a city of its own.
 
     A city is made when the first episode begins in it, and keeps its slot until that is needed and no episode runs or
     waits in it. With at least as many slots as there are such episodes, every city finds one; which slot it has, and
@@ -140,27 +151,24 @@ class Cities:
 
     Parameters
     ----------
-    street : makes the street of a city from its seed
-    table : the lanes
+    street : makes the street of a city from its seed and the number of a site
+    sites : of the lanes
     slots : largest number of cities at a time
-    first, one : seed of the first city, and its street
+    first, one : seed and site of the first city, and its street
 
     Attributes
     ----------
     mask, forecast : of all slots, one after another
-    begin_m, reach_m : (L,) arc of the beginning of each lane in a city, and up to where the lane has stations
     made : number of cities that have been put into slots
     """
 
     def __init__(
-        self, street: Callable[[int], Street], table: LaneTable, slots: int, first: int, one: Street
-    ) -> None:  # fmt: skip
-        self.begin_m: Array = np.array([one.lanes.offset_m[index[:2]] for index in table.index])
-        self.reach_m: Array = np.array([one.lanes.reach_m[index] for index in table.index])
-        self.mask, self.forecast = one.mask, one.forecast
+        self, street: Callable[[int, int], Street], sites: Sites, slots: int, first: tuple[int, int], one: Street
+    ) -> None:
+        self.sites, self.mask, self.forecast = sites, one.mask, one.forecast
         self._street, self._slots, self._held, self.made = street, slots, {first: 0}, 1
         self._arcs: list[Array] = []  # of the environments, as they have been given out
-        self._stations = len(one.mask.rows.cell)
+        self._stations = sites.stations
         if slots > 1 and not one.mask.closed:  # open skies are the same everywhere
             self._allocate(one)
             self._write(0, one)
@@ -173,7 +181,7 @@ class Cities:
     def where(self, count: int) -> Whereabouts:
         """Where ``count`` environments are, before any start in the first slot."""
         self._arcs.append(np.zeros(count))
-        return Whereabouts(self.begin_m, self.reach_m, self._arcs[-1])
+        return Whereabouts(self.sites.begin_m, self.sites.reach_m, self._arcs[-1])
 
     def ahead(self, distances_m: Sequence[float]) -> Forecast:
         """The forecast at distances ahead."""
@@ -181,8 +189,8 @@ class Cities:
         distances = np.array(distances_m, dtype=np.float64)
         return Forecast(f.free, distances, float(f.spacing_m), int(f.azimuths), int(f.elevations))
 
-    def settle(self, where: Whereabouts, rows: Rows, seeds: Rows) -> None:
-        """Put environments ``rows`` into the cities of seeds (n,), which are made where there are none.
+    def settle(self, where: Whereabouts, rows: Rows, seeds: Rows, lanes: Rows) -> None:
+        """Put environments ``rows`` into the cities of seeds (n,) at the sites of lanes (n,); missing ones are made.
 
         Raises
         ------
@@ -190,14 +198,14 @@ class Cities:
             Some cities are open and some are not.
         """
         where.city[rows] = NOWHERE_M  # leave their slots to others
-        for row, seed in zip(rows.tolist(), seeds.tolist(), strict=True):
-            where.city[row] = self.mask.spacing_m * self._stations * self._slot(seed)
+        for row, seed, site in zip(rows.tolist(), seeds.tolist(), self.sites.number[lanes].tolist(), strict=True):
+            where.city[row] = self.mask.spacing_m * self._stations * self._slot((seed, site))
 
-    def _slot(self, seed: int) -> int:
-        """The slot of a city."""
-        slot = self._held.pop(seed, None)
+    def _slot(self, city: tuple[int, int]) -> int:
+        """The slot of a city at a site."""
+        slot = self._held.pop(city, None)
         if slot is None:
-            street = self._street(seed)
+            street = self._street(*city)
             if street.mask.closed != self.mask.closed:
                 raise ConfigError(
                     "sky must leave all cities open or none in the vector engine: choose another level or other cities"
@@ -206,7 +214,7 @@ class Cities:
             if not self.mask.closed:
                 self._write(slot, street)
             self.made += 1
-        self._held[seed] = slot  # the last one is the newest
+        self._held[city] = slot  # the last one is the newest
         return slot
 
     def _free(self) -> int:
@@ -216,8 +224,8 @@ class Cities:
         empty = set(range(self._slots)) - set(self._held.values()) - used
         if empty:
             return min(empty)
-        seed = next(seed for seed, slot in self._held.items() if slot not in used)
-        return self._held.pop(seed)
+        city = next(city for city, slot in self._held.items() if slot not in used)
+        return self._held.pop(city)
 
     def _allocate(self, one: Street) -> None:
         """Make room for cities of about the size of one; memory is taken as slots are written."""
@@ -226,7 +234,7 @@ class Cities:
         rules = rows.rules.copy()
         rules["length"] = rules["spacing"] * n * slots
         cell, first, edge, free = (
-            np.zeros((slots * len(part), *part.shape[1:]), part.dtype)
+            np.zeros((slots * n if len(part) else 0, *part.shape[1:]), part.dtype)
             for part in (rows.cell, rows.first, rows.edge, one.forecast.free)
         )
         reflection, faces, edges = self._tables(self._room)
@@ -245,7 +253,8 @@ class Cities:
         if any(size > room for size, room in zip(sizes, self._room, strict=True)):
             self._widen([max(int(SPARE * size), room) for size, room in zip(sizes, self._room, strict=True)])
             rows = self.mask.rows
-        at, (r, f, e) = slice(slot * self._stations, (slot + 1) * self._stations), (slot * k for k in self._room)
+        begin, (r, f, e) = slot * self._stations, (slot * k for k in self._room)
+        at = slice(begin, begin + len(theirs.cell))  # a shorter road leaves the rest unused
         rows.cell[at], rows.first[at], self.forecast.free[at] = theirs.cell, theirs.first + r, street.forecast.free
         if len(rows.edge):
             rows.edge[at] = _from(theirs.edge, e)
@@ -258,8 +267,8 @@ class Cities:
         self._room, rows = room, self.mask.rows
         reflection, faces, edges = self._tables(room)
         self.mask.rows = rows._replace(reflection=reflection, faces=faces, edges=edges)
-        for seed, slot in self._held.items():
-            self._write(slot, self._street(seed))
+        for city, slot in self._held.items():
+            self._write(slot, self._street(*city))
 
 
 def _from(index: NDArray[np.int32], begin: int) -> NDArray[np.int32]:

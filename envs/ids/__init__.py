@@ -17,7 +17,7 @@ from lanebound.envs.ids.registry import (
     register_id,
     withdraw_id,
 )
-from lanebound.envs.ids.streets import CarFollowing, LaneKeeping, UrbanCanyon
+from lanebound.envs.ids.streets import CarFollowing, City, LaneKeeping, UrbanCanyon
 from lanebound.envs.ids.tolling import Tolling
 from lanebound.envs.ids.work_zone import WorkZone
 
@@ -31,6 +31,7 @@ __all__ = [
     "PRICED",
     "PRICES",
     "CarFollowing",
+    "City",
     "Guidance",
     "Highway",
     "Intersection",

@@ -43,7 +43,8 @@ class LaneKeeping(Preset):
     Truncated after 60 s, or 20 m before the end of the road. A success requires 0.55 of the possible speed.
 
     ## Arguments
-    `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 1.83 to 1.94 km), `lanes_count` (1),
+    `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 1.83 to 1.94 km), `roads` (1; with
+    more, each episode is on one of the roads from `layout` on), `lanes_count` (1),
     `lane_width` (3.25 m), `initial_speed` (10 m/s), `duration` (60 s).
 
     ## Version History
@@ -91,7 +92,8 @@ class CarFollowing(Preset):
     Truncated after 120 s, or 20 m before the end of the road. A success requires 0.5 of the possible speed.
 
     ## Arguments
-    `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 2.67 to 3.21 km), `lane_width` (3.25 m),
+    `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 2.67 to 3.21 km), `roads` (1; with
+    more, each episode is on one of the roads from `layout` on), `lane_width` (3.25 m),
     `standstill_gap` (2 m), `time_gap` ([0.8, 1.0] s), `lead` (speed profile: keys of `SpeedProfileConfig`), `duration`
     (120 s), `platoon` (1; vehicles ahead, up to 4). In a platoon the first drives the profile; each of the others
     follows by IDM with a lag of 1 s, and hides those ahead of it from the sensor: only messages show at once that the
@@ -143,8 +145,8 @@ class UrbanCanyon(Preset):
 
     ## Arguments
     `config["world"]`: `vehicles_count` (10; fewer where drawn positions are too close), `spread` ([-200, 400] m),
-    `lane_width` (3.25 m), `initial_speed` (10 m/s), `duration` (120 s); `map`, `route`, `via`: a real street map in
-    place of the loop ([street maps](#street-maps)).
+    `lane_width` (3.25 m), `initial_speed` (10 m/s), `duration` (120 s); `map`, `route`, `via`, `roads`: street
+    maps in place of the loop ([street maps](#street-maps)).
 
     ## Version History
     * v0: first version.
@@ -156,4 +158,49 @@ class UrbanCanyon(Preset):
         **META,
         "success_share": 0.48,
         "cost_limit": 40.0,
+    }
+
+
+class City(Preset):
+    """
+    ## Description
+    Drive through 16 generated cities, one of them drawn for each episode: each has its own streets (a grid with shifted
+    junctions, or rings with spokes), buildings, park and rows of trees on avenues. The way is closed and 2.8 to 4.3 km
+    long, mostly with one lane of 3.25 m; speed limits are 8.3 to 16.7 m/s (30 to 60 km/h). There are up to 10 other
+    vehicles. The alert limits are 1.5 m along and 0.625 m across the track.
+
+    Difficulty: neither the streets nor the sky of a test city have been seen in training.
+
+    ## Action Space
+    `Discrete(5)` at 2 Hz, as in UrbanCanyon.
+
+    ## Observation Space
+    As above.
+
+    ## Rewards
+    As above.
+
+    ## Costs
+    As in UrbanCanyon. `cost_limit` is 40, that of UrbanCanyon.
+
+    ## Starting State
+    As in UrbanCanyon, anywhere on the way through a city.
+
+    ## Episode End
+    As in UrbanCanyon.
+
+    ## Arguments
+    As UrbanCanyon. `config["world"]`: `map` (`generated:SEED`, a packaged map or a file) and `roads`: the cities from
+    SEED on, or as many ways through one map ([street maps](#street-maps)). `generated:2147483648` is the first of the
+    100 cities for tests; seeds below that are for training.
+
+    ## Version History
+    * v0: first version.
+    """
+
+    CORE_S = 0.05
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        **UrbanCanyon.PRESET,
+        "world": {"map": "generated:0", "roads": 16},
+        "cities": {"count": 1},
     }

@@ -20,7 +20,7 @@ from lanebound.integrity.sky.scene import City, clad
 from lanebound.integrity.sky.survey import as_mapped
 from lanebound.integrity.sky.visibility import SkyMask
 
-__all__ = ["Section", "build_street"]
+__all__ = ["SPACING_M", "Section", "build_street"]
 
 Section = tuple[str, str, float, float, str]  # edge from, edge to, start [m], end [m], SectionKind
 
@@ -38,6 +38,7 @@ def build_street(
     extent_m: float = 2500.0,
     surroundings: City | None = None,
     *,
+    widest: int = 0,
     reuse: bool = True,
 ) -> Street:
     """Build the street of a network at a level; the same inputs give the same bits.
@@ -50,6 +51,7 @@ def build_street(
         the edges are those of the level
     extent_m : largest length of an edge with buildings; the last station is used beyond
     surroundings : the obstacles of a map given by a world, in place of a generated city; their facades are drawn
+    widest : number of lanes of the masks, where that is more than the network has
     reuse : use a street from the cache in memory or on disk, and store this one
 
     Raises
@@ -64,15 +66,16 @@ def build_street(
         raise InputError("network must have lanes, got none: pass env.unwrapped.road.network after reset")
     sections = tuple(sections or ())
     if not reuse:
-        return _build(network, level, layout_seed, sections, extent_m, surroundings)
-    more = [] if level.recording is None else [recording_of(level.recording).digest]
+        return _build(network, level, layout_seed, sections, extent_m, surroundings, widest)
+    more: list[object] = [widest] if widest else []
+    more += [] if level.recording is None else [recording_of(level.recording).digest]
     more += [] if surroundings is None else [surroundings.digest]
     key = cache.key_of(network, level, layout_seed, sections, float(extent_m), *more)
     street = cache.remember(key)
     if street is None:
         street = cache.load(key, LaneMap.of(network, extent_m, SPACING_M))
         if street is None:
-            street = _build(network, level, layout_seed, sections, extent_m, surroundings, key)
+            street = _build(network, level, layout_seed, sections, extent_m, surroundings, widest, key)
             cache.save(key, street)
         cache.remember(key, street)
     return street
@@ -85,12 +88,13 @@ def _build(
     sections: tuple[Section, ...],
     extent_m: float,
     surroundings: City | None = None,
+    widest: int = 0,
     digest: str = "",
 ) -> Street:
     members = corridors(network, extent_m)
     lanes = LaneMap.of(network, extent_m, SPACING_M)
     if level.recording is not None:
-        return recorded_street(network, members, lanes, recording_of(level.recording), layout_seed)
+        return recorded_street(network, members, lanes, recording_of(level.recording), layout_seed, widest)
     city = surroundings if level.follow_sections else None
     if city is None:
         city = _city(network, members, level, layout_seed, _named(members, sections), extent_m)
@@ -98,7 +102,7 @@ def _build(
     city = replace(city, material=facades)
     if not len(city):
         return Street(SkyMask.open(), SkyForecast.open(), city, lanes)
-    antennas, cells = lanes.antennas(network, ANTENNA_HEIGHT_M), (AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG)
+    antennas, cells = lanes.antennas(network, ANTENNA_HEIGHT_M, widest), (AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG)
     mask = SkyMask.of_stations(antennas, city, SPACING_M, *cells, digest)
     mapped = as_mapped(city, level.map, named_generator(layout_seed, "map"))
     return Street(mask, SkyForecast.of_stations(antennas, mapped, SPACING_M, *cells), city, lanes)

@@ -55,9 +55,10 @@ def _read(path: str, changed_ns: int, size: int) -> SkyRecording:
 
 
 def recorded_street(
-    network: RoadNetwork, members: list[Corridor], lanes: LaneMap, recording: SkyRecording, layout_seed: int
-) -> Street:
-    """Build the street of a network with the sky of a recording.
+    network: RoadNetwork, members: list[Corridor], lanes: LaneMap, recording: SkyRecording, layout_seed: int,
+    widest: int = 0,
+) -> Street:  # fmt: skip
+    """Build the street of a network with the sky of a recording; ``widest``: number of lanes at least.
 
     The forecast for a planner is the recording itself: an earlier drive is used as the map.
     """
@@ -70,7 +71,7 @@ def recorded_street(
         arc.append(begin_m[edge] + s)
         heading.append(_headings(group[0], s))
     path, excess = _tables(recording, np.concatenate(arc), np.concatenate(heading))
-    widest = max(len(group) for _, group in edges_of(network))
+    widest = max(widest, *(len(group) for _, group in edges_of(network)))
     path, excess = np.repeat(path[:, None], widest, 1), np.repeat(excess[:, None], widest, 1)
     length = lanes.spacing_m * len(path)
     mask = SkyMask(path, excess, AZIMUTHS, ELEVATIONS, lanes.spacing_m, length, False, recording.digest)

@@ -30,11 +30,13 @@ class LaneMap:
     spacing_m : distance between stations along a lane
     offset_m : arc of the start of each edge
     reach_m : largest longitudinal position of a lane with stations
+    count : number of stations
     """
 
     spacing_m: float
     offset_m: dict[Edge, float]
     reach_m: dict[LaneIndex, float]
+    count: int
 
     @classmethod
     def of(cls, network: RoadNetwork, extent_m: float, spacing_m: float) -> LaneMap:
@@ -47,16 +49,19 @@ class LaneMap:
             own = {(*edge, i): min(float(lane.length), extent_m) for i, lane in enumerate(lanes)}
             reach |= own
             at += spacing_m * _stations(max(own.values()), spacing_m)
-        return cls(spacing_m, offset, reach)
+        return cls(spacing_m, offset, reach, round(at / spacing_m))
 
     def stations(self, edge: Edge, lanes: int) -> int:
         """Number of stations along an edge with a number of lanes."""
         return _stations(max(self.reach_m[(*edge, i)] for i in range(lanes)), self.spacing_m)
 
-    def antennas(self, network: RoadNetwork, height_m: float) -> Array:
-        """Antenna positions ENU above the centre of each lane, (N, L, 3) [m]; missing lanes repeat the last lane."""
+    def antennas(self, network: RoadNetwork, height_m: float, widest: int = 0) -> Array:
+        """Antenna positions ENU above the centre of each lane, (N, L, 3) [m]; missing lanes repeat the last lane.
+
+        L is the largest number of lanes, at least ``widest``.
+        """
         rows = []
-        widest = max(len(lanes) for _, lanes in edges_of(network))
+        widest = max(widest, *(len(lanes) for _, lanes in edges_of(network)))
         for edge, lanes in edges_of(network):
             s = self.spacing_m * np.arange(self.stations(edge, len(lanes)))
             tracks = [lane_points(lane, np.minimum(s, lane.length)) for lane in lanes]

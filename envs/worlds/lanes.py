@@ -66,6 +66,13 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
         reach = abs(offset_m) + 0.5 * width_m + self.VEHICLE_LENGTH + 2.0
         self._low, self._high = (path.low_m - reach).tolist(), (path.high_m + reach).tolist()
 
+    def moved(self, y_m: float) -> CurveLane:
+        """The same lane, farther along y."""
+        path = Path.of(self.path.start._replace(y=self.path.start.y + y_m), self.path.pieces)
+        lane = CurveLane(path, self.offset_m, self.width, self.line_types, self.speed_limit)
+        lane.forbidden, lane.priority = self.forbidden, self.priority
+        return lane
+
     def _into(self, longitudinal: float) -> tuple[int, float]:
         """Cell of the path, and distance along the path in it, for a longitudinal position on the lane.
 

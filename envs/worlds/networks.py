@@ -1,11 +1,12 @@
 """The roads of the worlds: winding roads through streets, a long road with large radii, and a loop through a city.
 
-A road is determined by its layout number and is the same in all episodes; the obstacles beside it are built once. Lane
-0 is the leftmost lane, as in highway-env.
+A road is determined by its layout number. Several roads lie far apart in one network (:meth:`StreetNetwork.apart`), and
+an episode is on one of them. Lane 0 is the leftmost lane, as in highway-env.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from math import inf
 
@@ -19,13 +20,15 @@ from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.envs.worlds.paths import Path, Piece, Pose, bend, rounded_polygon, straight
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["CITY_SECTIONS", "LAYOUTS", "Section", "StreetNetwork", "advance", "city_loop", "long_road", "winding_road"]
+__all__ = ["CITY_SECTIONS", "LAYOUTS", "Section", "StreetNetwork", "advance", "city_loop", "long_road", "node_at",
+           "winding_road"]  # fmt: skip
 
 Array = NDArray[np.float64]
 Section = tuple[str, str, float, float, str]
 Box = tuple[str, str, list[CurveLane], tuple[float, float, float, float]]
 
 LAYOUTS = 4  # of each kind of road
+APART_M = 10_000.0  # between sites; nothing that is measured depends on where a site is
 TURN_LIMIT_RAD = 1.2  # a road that never turns back does not meet itself
 
 # Corners x, y and radius [m] of a loop of 3 km, driven clockwise.
@@ -65,11 +68,13 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
     ----------
     goal : the road to which the ego is to drive, None for none
     geo_objects : number of the geo-object, from 0, of which a road is a link; those of one object run beside each other
+    sites : the roads of each of several places far from each other, on one of which an episode is; empty for one place
     """
 
     def __init__(self, goal: tuple[str, str] | None = None) -> None:
         super().__init__()
         self.goal, self.geo_objects = goal, dict[tuple[str, str], int]()
+        self.sites: list[list[tuple[str, str]]] = []
         self._boxes: list[Box] = []
 
     def add_lane(self, _from: str, _to: str, lane: CurveLane) -> None:
@@ -94,6 +99,30 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
             left = LineType.CONTINUOUS_LINE if k == lanes[0] else LineType.STRIPED
             right = LineType.CONTINUOUS_LINE if k == lanes[-1] else LineType.NONE
             self.add_lane(*edge, CurveLane(path, k * width_m, width_m, (left, right), speed_limit))
+
+    @classmethod
+    def apart(cls, networks: Sequence[StreetNetwork]) -> StreetNetwork:
+        """One network of several ones, each at a site of its own; nodes are named as in :func:`node_at`."""
+        if len(networks) == 1:
+            return networks[0]
+        out = cls()
+        for k, one in enumerate(networks):
+            roads = [(a, b, lanes) for a, ends in one.graph.items() for b, lanes in ends.items()]
+            for a, b, lanes in roads:
+                for lane in lanes:
+                    out.add_lane(node_at(a, k), node_at(b, k), lane.moved(k * APART_M))
+            out.sites.append([(node_at(a, k), node_at(b, k)) for a, b, _ in roads])
+        return out
+
+    def alone(self, site: int) -> StreetNetwork:
+        """The roads of one site; the network itself if there is one."""
+        if not self.sites:
+            return self
+        out = StreetNetwork()
+        for a, b in self.sites[site]:
+            for lane in self.graph[a][b]:
+                out.add_lane(a, b, lane)
+        return out
 
     def _box_up(self) -> None:
         """Compute bounding boxes of the centre lines of each road; a margin of 1 m covers the error of sampling."""
@@ -121,6 +150,11 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
                 if distance < least or (distance == least and (k, i) < best):
                     best, least = (k, i), distance
         return (*self._boxes[best[0]][:2], best[1])
+
+
+def node_at(name: str, site: int) -> str:
+    """The name of a node at a site: its own at the first one."""
+    return f"{name}@{site}" if site else name
 
 
 def winding_road(layout: int, lanes: int, width_m: float) -> StreetNetwork:
@@ -163,7 +197,7 @@ def _joined(pieces: list[Piece]) -> list[Piece]:
     return out
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=128)
 def _winding(
     layout: int,
     length_m: float,

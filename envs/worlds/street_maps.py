@@ -19,14 +19,14 @@ from scipy.spatial import cKDTree
 
 from lanebound.envs.records import enu_of, xy_of
 from lanebound.envs.worlds.lanes import CurveLane
-from lanebound.envs.worlds.networks import StreetNetwork
+from lanebound.envs.worlds.networks import APART_M, StreetNetwork
 from lanebound.envs.worlds.paths import Path, Piece, Pose, bend, straight, tangent_m
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_street
 from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildings
-from lanebound.integrity.sky.maps.files import map_of
+from lanebound.integrity.sky.maps.generated import GENERATED, named_map
 from lanebound.integrity.sky.maps.graph import StreetGraph, distance_m
 from lanebound.integrity.sky.maps.loops import FAR_M, ClosedWay, along, loops_of, loops_via
 from lanebound.integrity.sky.maps.polygons import crossing
@@ -34,7 +34,7 @@ from lanebound.integrity.sky.maps.records import StreetMap, StreetWay
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 
-__all__ = ["MapRoad", "map_place", "map_road_of", "map_roads"]
+__all__ = ["MapRoad", "map_cities_of", "map_place", "map_roads", "map_roads_of"]
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]
@@ -92,8 +92,10 @@ class MapRoad:
         return out
 
 
-def map_road_of(world: Mapping[str, Any]) -> MapRoad | None:
-    """The road of a world's configuration, made once: ``map``, ``route``, ``via``, ``lane_width``; None without a map.
+def map_roads_of(world: Mapping[str, Any]) -> tuple[MapRoad, ...]:
+    """The roads of a world's configuration, each made once: ``map``, ``route``, ``via``, ``roads``, ``lane_width``.
+
+    None without a map. Several are those of the ways from ``route`` on, or of the generated cities from SEED on.
 
     Raises
     ------
@@ -102,18 +104,40 @@ def map_road_of(world: Mapping[str, Any]) -> MapRoad | None:
     InputError
         The map is refused by its reader.
     """
-    name, via = world.get("map"), world.get("via") or ()
+    return tuple(_road(*asked) for asked in _asked(world))
+
+
+def map_cities_of(world: Mapping[str, Any]) -> tuple[City, ...]:
+    """The obstacles around these roads, each at its site of the network (:meth:`~.networks.StreetNetwork.apart`)."""
+    return tuple(_city_at(k, *asked) for k, asked in enumerate(_asked(world)))
+
+
+@lru_cache(maxsize=128)
+def _city_at(site: int, *asked: Any) -> City:
+    return _road(*asked).city.moved(0.0, -site * APART_M)
+
+
+def _asked(world: Mapping[str, Any]) -> list[tuple[str, int, tuple[Place, ...], float]]:
+    """Map, number of the way, places and width of a lane of each road that a world asks for."""
+    name, via, roads = world.get("map"), world.get("via") or (), world.get("roads", 1)
     if name is None:
-        if via or world.get("route"):
-            raise ConfigError("world.route and world.via must be left out without world.map: add it, or remove them")
-        return None
+        if via or world.get("route") or roads > 1:
+            raise ConfigError(
+                "world.route, world.via and world.roads must be left out without world.map: add it, or remove them"
+            )
+        return []
     if not isinstance(name, str):
         raise ConfigError(f"world.map must be a packaged map or a file, got {name!r}: write its name")
     if not (isinstance(via, list | tuple) and all(map(_is_place, via)) and len(via) != 1):
         raise ConfigError(f"world.via must be two places or more, each [latitude, longitude], got {via!r}: correct it")
     if len(via) > MOST_VIA:
         raise ConfigError(f"world.via must hold at most {MOST_VIA} places, got {len(via)}: leave some out")
-    return _road(name, map_of(name), world["route"], tuple(map(tuple, via)), world["lane_width"])
+    places, width_m, route = tuple(map(tuple, via)), world["lane_width"], world["route"]
+    if name.startswith(GENERATED):
+        named_map(name)  # refuses what is no seed
+        first = int(name.removeprefix(GENERATED))
+        return [(f"{GENERATED}{first + k}", route, places, width_m) for k in range(roads)]
+    return [(name, route + k, places, width_m) for k in range(roads)]
 
 
 def _is_place(place: Any) -> bool:
@@ -127,7 +151,7 @@ def map_place(world: Mapping[str, Any]) -> dict[str, Any]:
     name = world.get("map")
     if not isinstance(name, str):
         return {}
-    frame = map_of(name).frame
+    frame = named_map(name).frame
     return {"sky": {"lat_deg": frame.lat_deg, "lon_deg": frame.lon_deg}}
 
 
@@ -139,12 +163,13 @@ def map_roads(name: str, width_m: float = LANE_WIDTH_M, most: int = 8) -> list[M
     InputError
         The map is refused by its reader.
     """
-    streets = map_of(name)
+    streets = named_map(name)
     return [_made(streets, *way, width_m) for way in _fitted(streets, _graph(streets), (), width_m, most)]
 
 
-@lru_cache(maxsize=16)
-def _road(name: str, streets: StreetMap, route: int, via: tuple[Place, ...], width_m: float) -> MapRoad:
+@lru_cache(maxsize=128)
+def _road(name: str, route: int, via: tuple[Place, ...], width_m: float) -> MapRoad:
+    streets = named_map(name)
     for k, place in enumerate(via):
         at = streets.frame.en_of(*place)
         away_m = min(distance_m(street.points_en_m, at) for street in streets.streets)

@@ -22,9 +22,10 @@ from lanebound.envs.worlds.networks import (
     advance,
     city_loop,
     long_road,
+    node_at,
     winding_road,
 )
-from lanebound.envs.worlds.street_maps import map_road_of
+from lanebound.envs.worlds.street_maps import map_cities_of, map_roads_of
 from lanebound.integrity.sky.scene import City
 
 __all__ = ["CarFollowingWorld", "LaneKeepingWorld", "UrbanCanyonWorld"]
@@ -40,16 +41,17 @@ class CarFollowingWorld(World):
     Episode end
         That of :class:`World`; also truncated at the end of the road.
     Configuration
-        ``layout`` (0 to 3: which road), ``standstill_gap`` [m], ``time_gap`` [s] (range of T), ``lead`` (changes to
-        :class:`SpeedProfileConfig`), ``platoon`` (vehicles ahead, 1 to 4: the first drives that profile, the others
-        follow it, :func:`~.drivers.follow_all`).
+        ``layout`` (number of the first road), ``roads`` (how many, one of them drawn for each episode),
+        ``standstill_gap`` [m], ``time_gap`` [s] (range of T), ``lead`` (changes to :class:`SpeedProfileConfig`),
+        ``platoon`` (vehicles ahead, 1 to 4: the first drives that profile, the others follow it,
+        :func:`~.drivers.follow_all`).
     """
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
         """Defaults of all keys."""
-        own = {"duration": 120.0, "layout": 0, "standstill_gap": 2.0, "time_gap": [0.8, 1.0], "lead": {}, "platoon": 1}
-        return super().default_config() | own
+        own = {"duration": 120.0, "layout": 0, "roads": 1, "standstill_gap": 2.0, "time_gap": [0.8, 1.0], "lead": {}}
+        return super().default_config() | own | {"platoon": 1}
 
     @property
     def lead(self) -> LeadVehicle:
@@ -61,7 +63,8 @@ class CarFollowingWorld(World):
         return float(self.vehicle.lane_distance_to(self.lead) - 0.5 * (self.vehicle.LENGTH + self.lead.LENGTH))
 
     def _network(self) -> StreetNetwork:
-        return long_road(self.config["layout"], self.config["lane_width"])
+        c = self.config
+        return StreetNetwork.apart([long_road(c["layout"] + k, c["lane_width"]) for k in range(c["roads"])])
 
     @classmethod
     def most_vehicles(cls, config: dict[str, Any]) -> int:
@@ -78,7 +81,7 @@ class CarFollowingWorld(World):
         c = self.config
         law = SpeedProfileConfig.load(c["lead"], "lead")
         speeds = speed_profile(rng, c["duration"], 1.0 / c["simulation_frequency"], law)
-        index, speed = ("start", "end", 0), float(speeds[0])
+        index, speed = (*drawn_road(rng, c["roads"]), 0), float(speeds[0])
         lane = self.road.network.get_lane(index)
         gap = c["standstill_gap"] + float(rng.uniform(*c["time_gap"])) * speed
         latest = lane.length - END_M - lane.speed_limit * c["duration"]
@@ -93,6 +96,12 @@ class CarFollowingWorld(World):
 END_M = 40.0  # of the road are left when an episode at the speed limit ends
 
 
+def drawn_road(rng: np.random.Generator, roads: int) -> tuple[str, str]:
+    """The road of an episode, of several; nothing is drawn where there is one."""
+    site = int(rng.integers(roads)) if roads > 1 else 0
+    return node_at("start", site), node_at("end", site)
+
+
 class LaneKeepingWorld(World):
     """Keep the lane along 1.8 km of straights, bends of 40 to 160 m radius and S-bends, alone on the road.
 
@@ -104,20 +113,24 @@ class LaneKeepingWorld(World):
     Episode end
         That of :class:`World`; also truncated at the end of the road.
     Configuration
-        ``layout`` (0 to 3: which road), ``lanes_count`` (in the same direction), ``initial_speed`` [m/s].
+        ``layout`` (number of the first road), ``roads`` (how many, one of them drawn for each episode), ``lanes_count``
+        (in the same direction), ``initial_speed`` [m/s].
     """
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
         """Defaults of all keys."""
-        return super().default_config() | {"layout": 0, "lanes_count": 1, "initial_speed": 10.0}
+        return super().default_config() | {"layout": 0, "roads": 1, "lanes_count": 1, "initial_speed": 10.0}
 
     def _network(self) -> StreetNetwork:
-        return winding_road(self.config["layout"], self.config["lanes_count"], self.config["lane_width"])
+        c = self.config
+        roads = [winding_road(c["layout"] + k, c["lanes_count"], c["lane_width"]) for k in range(c["roads"])]
+        return StreetNetwork.apart(roads)
 
     def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
         """Draw a start from which the end of the road is not reached within the episode at the speed limit."""
-        index = ("start", "end", int(rng.integers(self.config["lanes_count"])))
+        road = drawn_road(rng, self.config["roads"])
+        index = (*road, int(rng.integers(self.config["lanes_count"])))
         lane = self.road.network.get_lane(index)
         latest = lane.length - END_M - lane.speed_limit * self.config["duration"]
         start = float(rng.uniform(10.0, max(latest, 20.0)))
@@ -140,8 +153,10 @@ class UrbanCanyonWorld(World):
     Configuration
         ``vehicles_count`` (largest number of other vehicles; a vehicle whose place is occupied is left out), ``spread``
         [m] (range along the road around the ego for their starts), ``initial_speed`` [m/s]; ``map`` (a packaged street
-        map or a file, whose streets and buildings take the place of the loop; None: the loop), ``route`` (number of the
-        closed way through the map, 0 for the longest), ``via`` (places, latitude and longitude, by which it leads).
+        map, a file or ``generated:SEED``, whose streets and buildings take the place of the loop; None: the loop),
+        ``route`` (number of the closed way through the map, 0 for the longest), ``via`` (places, latitude and
+        longitude, by which it leads), ``roads`` (number of ways, one of them drawn for each episode: the longest ones
+        from ``route`` on, or those of the generated cities from SEED on).
     """
 
     OTHERS: ClassVar[type[Vehicle]] = CityDriver
@@ -161,6 +176,7 @@ class UrbanCanyonWorld(World):
             "map": None,
             "route": 0,
             "via": [],
+            "roads": 1,
         }
 
     @property
@@ -172,14 +188,14 @@ class UrbanCanyonWorld(World):
         return tuple((a, b, start, min(end, graph[a][b][0].length), kind) for a, b, start, end, kind in CITY_SECTIONS)
 
     @property
-    def surroundings(self) -> City | None:
-        """The obstacles of the map; None for the loop, along which they are generated."""
-        road = map_road_of(self.config)
-        return None if road is None else road.city
+    def surroundings(self) -> tuple[City, ...]:
+        """The obstacles of the map at each site; none for the loop, along which they are generated."""
+        return map_cities_of(self.config)
 
     def _network(self) -> StreetNetwork:
-        road = map_road_of(self.config)
-        return city_loop(self.config["lane_width"]) if road is None else road.network()
+        roads = map_roads_of(self.config)
+        loops = [road.network() for road in roads] or [city_loop(self.config["lane_width"])]
+        return StreetNetwork.apart(loops)
 
     @classmethod
     def most_vehicles(cls, config: dict[str, Any]) -> int:

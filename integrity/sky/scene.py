@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
 from typing import Self
@@ -229,6 +229,12 @@ class City:
             np.concatenate([self.building, renumbered]),
             np.concatenate([self.material, other.material]),
         )
+
+    def moved(self, east_m: float, north_m: float) -> City:
+        """The same city elsewhere."""
+        if not (east_m or north_m):
+            return self
+        return replace(self, triangles_enu_m=self.triangles_enu_m + np.array([east_m, north_m, 0.0]))
 
     @property
     def buildings(self) -> int:

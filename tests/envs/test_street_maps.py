@@ -23,8 +23,8 @@ from lanebound.envs.worlds.street_maps import (
     MOVED_M,
     MapRoad,
     map_place,
-    map_road_of,
     map_roads,
+    map_roads_of,
 )
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps.files import map_of
@@ -35,7 +35,7 @@ IDLE, SLOWER = 1, 4
 
 
 def road(name: str = MAP, route: int = 0, lane_width: float = 3.25, **rest: Any) -> MapRoad:
-    found = map_road_of({"map": name, "route": route, "lane_width": lane_width, **rest})
+    [found] = map_roads_of({"map": name, "route": route, "lane_width": lane_width, **rest})
     assert found is not None
     return found
 
@@ -227,7 +227,7 @@ def test_refusals(world: dict[str, Any], words: str) -> None:
 def test_the_level_open_has_no_buildings_and_others_those_of_the_map() -> None:
     world = make_world("UrbanCanyonWorld", {"map": MAP}, {"type": "DiscreteMetaAction"}, 20, 2)
     world.reset()
-    network, obstacles = world.road.network, world.surroundings
+    network, obstacles = world.road.network, world.surroundings[0]
     assert world.sections == ()
     open_sky = build_street(network, SkyLevel.named("open"), 0, world.sections, 2500.0, obstacles, reuse=False)
     assert not len(open_sky.city)

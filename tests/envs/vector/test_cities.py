@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from lanebound.envs.batch.lanes import lane_table
-from lanebound.envs.batch.skies import Cities
+from lanebound.envs.batch.skies import Cities, Sites
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
 from lanebound.envs.sky import Street, build_street
 from lanebound.envs.vector.engine import Engine
+from lanebound.envs.worlds.base import Seat
+from lanebound.envs.worlds.networks import node_at
 from lanebound.integrity.sky.visibility import SkyMask
 from tests.helpers.side_by_side import Pairs, require_equal
 
@@ -25,6 +27,8 @@ MANY: dict[str, Any] = {"cities": {"count": 200}, "extent_m": 300.0, "duration_s
         ("LaneKeeping", {"cities": {"count": 200, "vary": True}}),
         ("UrbanCanyon", {"world": {"vehicles_count": 2}}),
         ("Merge", {"cities": {"split": "test"}}),
+        ("LaneKeeping", {"world": {"layout": 7, "roads": 5, "lanes_count": 2}}),
+        ("CarFollowing", {"world": {"roads": 3}}),
     ],
 )
 def test_an_episode_in_any_city_is_the_single_one(name: str, change: dict[str, Any]) -> None:
@@ -36,6 +40,32 @@ def test_an_episode_in_any_city_is_the_single_one(name: str, change: dict[str, A
     require_equal(pairs.tally)
 
 
+def test_episodes_of_city_are_in_cities_with_their_own_streets() -> None:
+    world = {"map": "generated:5", "roads": 3, "vehicles_count": 2}
+    pairs = Pairs("City", {"world": world, "duration_s": 2.0}, 2, 5)
+    roads = set()
+    for start in range(4):
+        pairs.step(2)
+        pairs.reset(np.array([start % 2]), None)
+        roads |= {str(one.world.vehicle.lane_index[0]).partition("@")[2] for one in pairs.singles}
+    require_equal(pairs.tally)
+    assert len(roads) > 1
+
+
+def test_a_road_measures_alike_at_any_site(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same road as the first and as the third of several: equal errors and levels in the same city and hour."""
+    found = []
+    for layout, roads in ((9, 1), (7, 3)):
+        config = {"world": {"layout": layout, "roads": roads}, "cities": {"count": 1}, "extent_m": 300.0}
+        single = DrivingEnv(make_config("lanebound/LaneKeeping-v0", config))
+        seat = Seat((node_at("start", roads - 1), node_at("end", roads - 1), 0), 30.0, 8.0)
+        monkeypatch.setattr(type(single.world), "draw_seats", lambda *_, seat=seat: ([seat], None))
+        single.reset(seed=3)
+        rows = [single.step(np.array([0.0, 0.0], np.float32))[4] for _ in range(5)]
+        found.append([(row["err_at_m"], row["err_ct_m"], row["pl_at_m"], row["pl_ct_m"]) for row in rows])
+    np.testing.assert_allclose(found[0], found[1], rtol=0.0, atol=1e-6)
+
+
 def street_of(seed: int) -> Street:
     """The street of a city along the first metres of a road."""
     config = make_config("lanebound/LaneKeeping-v0", {"sky": "dense"})
@@ -44,8 +74,9 @@ def street_of(seed: int) -> Street:
 
 
 def cities_of(slots: int) -> Cities:
-    single = DrivingEnv(make_config("lanebound/LaneKeeping-v0"))
-    return Cities(street_of, lane_table(single.world.road.network), slots, 0, street_of(0))
+    table, one = lane_table(DrivingEnv(make_config("lanebound/LaneKeeping-v0")).world.road.network), street_of(0)
+    number, (begin_m, reach_m) = np.zeros(len(table.index), np.int64), np.zeros((2, len(table.index)))
+    return Cities(lambda seed, _: street_of(seed), Sites(number, begin_m, reach_m, one.lanes.count), slots, (0, 0), one)
 
 
 def city_at(cities: Cities, arc_m: float, seed: int) -> None:
@@ -67,8 +98,8 @@ def test_a_slot_is_taken_over_when_nobody_is_in_it() -> None:
     cities = cities_of(3)
     running, waiting = cities.where(2), cities.where(1)
     for seeds in ([1, 2], [3, 2], [3, 4], [5, 5], [6, 1]):
-        cities.settle(running, np.arange(2), np.array(seeds))
-        cities.settle(waiting, np.arange(1), np.array(seeds[:1]))
+        cities.settle(running, np.arange(2), np.array(seeds), np.zeros(2, np.int64))
+        cities.settle(waiting, np.arange(1), np.array(seeds[:1]), np.zeros(1, np.int64))
         for arc, seed in zip([*running.city.tolist(), *waiting.city.tolist()], [*seeds, seeds[0]], strict=True):
             city_at(cities, arc, seed)
     assert cities.made == 8, "of 0 to 6, and 1 again"
@@ -79,7 +110,7 @@ def test_slots_grow_with_the_largest_city() -> None:
     cities._widen([1, 1, 1])  # as if the first one had been nearly empty
     where = cities.where(1)
     for seed in (7, 8):
-        cities.settle(where, np.arange(1), np.array([seed]))
+        cities.settle(where, np.arange(1), np.array([seed]), np.zeros(1, np.int64))
         city_at(cities, float(where.city[0]), seed)
 
 
