@@ -158,6 +158,13 @@ def prediction(
     streets: Annotated[
         int | None, typer.Option(min=1, help="Streets of each sky for the fit, and as many others; the study has 10.")
     ] = None,
+    berlin: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder with smartLoc's drive over Gendarmenmarkt, its city model and broadcast messages.",
+        ),
+    ] = None,
     jobs: Jobs = 1,
     assignments: Assignments = None,
     as_json: AsJson = False,
@@ -169,7 +176,7 @@ def prediction(
     from lanebound.agents.studies.prediction import PredictionConfig, run_prediction, shown
 
     config = PredictionConfig.load(changes(assignments, streets=streets))
-    result = carry_out(out, "part", lambda report: run_prediction(config, out, jobs, report))
+    result = carry_out(out, "part", lambda report: run_prediction(config, out, jobs, report, berlin))
     show(result, shown(result), as_json, f"results.json and figures: {out}")
 
 

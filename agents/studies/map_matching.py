@@ -335,7 +335,7 @@ def summary(config: MapMatchingConfig, drives: Sequence[Mapping[str, Any]]) -> d
                 at = fitted(_total(others, score, chain), sum(d["wrong"] for d in others), config.equal_far)
                 key = {"map": name, "score": score, "chain": chain}
                 total = _total(own, score, chain)
-                curves.append(key | _curve(total, sum(d["wrong"] for d in own)))
+                curves.append(key | _curve(total, sum(d["wrong"] for d in own), config.equal_far))
                 rows += [
                     key | {"group": group, "rule": rule, "threshold": float(THRESHOLDS[at[rule]])}
                     | rates(some, score, chain, at[rule])
@@ -400,14 +400,16 @@ def _interval(events: Array, of: Array) -> list[float | None]:
     return [float(ratio[0]), *(float(q) for q in np.quantile(ratio[1:], (tail, 1.0 - tail)))]
 
 
-def _curve(sweep: WarningSweep, wrong: int) -> dict[str, Any]:
-    """Warned shares of right and wrong points by threshold, and the area below the second over the first one."""
+def _curve(sweep: WarningSweep, wrong: int, equal_far: float) -> dict[str, Any]:
+    """Warned shares of right and wrong points by threshold; the area below the second over the first one, and the
+    second where the first is ``equal_far``, on the line between neighbouring thresholds."""
     false_alarms = sweep.false_alarms / max(sweep.points - wrong, 1)
     detected = 1.0 - sweep.missed / max(wrong, 1)
     x, y = np.concatenate([[0.0], false_alarms, [1.0]]), np.concatenate([[0.0], detected, [1.0]])
     return {
         "right": np.round(false_alarms, 5).tolist(), "wrong": np.round(detected, 5).tolist(),
         "area": float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(x))) if wrong else None,
+        "detected": float(np.interp(equal_far, x, y)) if wrong else None,
     }  # fmt: skip
 
 
@@ -465,13 +467,16 @@ def crossing_rows(result: Mapping[str, Any]) -> Table:
 
 
 def equal_rows(result: Mapping[str, Any]) -> Table:
-    """Scores alone: wrong points not warned of where about as many right points are, and the area of the curve."""
-    area = {(c["map"], c["score"]): c["area"] for c in result["curves"] if c["chain"] == ALONE}
-    heads = ("score", "map", "threshold", "warned of right", "wrong not warned of", "OCDR", "area")
+    """Scores alone at the threshold of equal false alarms, and the curve of the judged map itself."""
+    curve = {(c["map"], c["score"]): c for c in result["curves"] if c["chain"] == ALONE}
+    share = result["config"]["equal_far"]
+    heads = ("score", "map", "threshold", "warned of right", "wrong not warned of", "OCDR",
+             f"not warned of where {100.0 * share:g} % of right are", "area")  # fmt: skip
     rows = _of(result, "equal", ALONE, "all")
     return heads, [
-        (r["score"], short(r["map"]), f"{r['threshold']:g}", _text(r["per_right"]), _text(r["per_wrong"]),
-         _text(r["ocdr"]), "-" if area[r["map"], r["score"]] is None else f"{area[r['map'], r['score']]:.2f}")
+        (score, short(r["map"]), f"{r['threshold']:g}", _text(r["per_right"]), _text(r["per_wrong"]), _text(r["ocdr"]),
+         *(("-", "-") if (own := curve[r["map"], score])["area"] is None
+           else (f"{100.0 * (1.0 - own['detected']):.0f} %", f"{own['area']:.2f}")))
         for score in SCORES for r in rows if r["score"] == score
     ]  # fmt: skip
 

@@ -10,7 +10,8 @@ threshold warns. The methods are published with tables that S5 does not repeat, 
   two systems by the complexity of the roads around. That its first test is RAIM is left to the first phase.
 - ``jabbour``: Jabbour et al. 2008. The number of efficient hypotheses, ``1 / sum w^2``, and the normalised innovation
   squared of the matched link. The hypotheses are those of the hidden Markov filter. Two thresholds become one score:
-  the innovation passes a test of 1e-3, and the score falls with the number of hypotheses.
+  the innovation passes a test of 1e-3, and the score falls with the number of hypotheses. They match the most probable
+  hypothesis; the score of another link is smaller by the ratio of both probabilities.
 - ``yu``: Yu et al. 2006. The curve of the last positions against that of the matched points: what remains between them
   after a shift, over the extent of the first one. They restart after a mismatch; here it is only detected.
 """
@@ -169,7 +170,7 @@ class VelagaScore:
 
 
 class JabbourScore:
-    """``100 / N_eff`` of the hypotheses, if the matched link is the most probable one and its innovation is likely."""
+    """``100 / N_eff`` of the hypotheses, times ``w / w_max`` of the matched link, if its innovation is likely."""
 
     def __init__(self, road_map: RoadMap, matching: MatchingConfig, map_sigma_m: float, batch: int) -> None:
         self._hypotheses, self.map_sigma_m = HiddenMarkovMatcher(road_map, matching, batch), map_sigma_m
@@ -185,14 +186,14 @@ class JabbourScore:
 
     def step(self, match: MapMatches, inputs: MatchInputs, rows: Rows = EVERY) -> Array:
         """See the protocol."""
-        best = self._hypotheses.step(inputs, rows)
+        self._hypotheses.step(inputs, rows)
         weight = np.exp(self.memory["log_probability"][rows])
-        efficient = 1.0 / np.maximum(np.square(weight).sum(-1), 1e-9)
+        own = np.where(self.memory["link"][rows] == match.link[:, None], weight, 0.0).max(-1)
+        share = np.square(weight).sum(-1) * own / np.maximum(weight.max(-1), 1e-9)  # 1 / N_eff, and the ratio
         distance, angle = _residuals(match, inputs)
         innovation = np.square(distance) / (np.square(inputs.sigma_m) + self.map_sigma_m**2)
         innovation = innovation + np.square(np.deg2rad(angle) / HEADING_SIGMA_RAD)
-        fits = (best.link == match.link) & (innovation <= INNOVATION_GATE)
-        return _scored(match, np.where(fits, 100.0 / efficient, 0.0))
+        return _scored(match, np.where(innovation <= INNOVATION_GATE, 100.0 * share, 0.0))
 
     def forget(self, rows: Rows) -> None:
         """Begin without hypotheses."""

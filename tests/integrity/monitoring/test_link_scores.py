@@ -93,7 +93,10 @@ def test_jabbour_counts_hypotheses_and_tests_the_innovation() -> None:
     assert score_of("jabbour", one, (2.0, 0.0))[0] == pytest.approx(100.0)
     assert score_of("jabbour", two, (0.0, 0.0), sigma_m=4.0)[0] == pytest.approx(50.0)  # two of equal weight
     assert score_of("jabbour", two, (5.0, 0.0), sigma_m=1.0)[0] > 99.9
-    assert score_of("jabbour", two, (5.0, 0.0), matched=0)[0] == 0.0  # not the most probable one
+    odds = np.exp(-0.5 * (7.0**2 - 5.0**2) / 4.0**2)  # of the farther link, one metre from the middle
+    share = (1.0 + odds**2) / (1.0 + odds) ** 2
+    found = [score_of("jabbour", two, (1.0, 0.0), sigma_m=4.0, matched=link)[0] for link in (1, 0)]
+    assert found == pytest.approx([100.0 * share, 100.0 * share * odds])
     gate = np.sqrt(2.0 * -2.0 * np.log(1e-3))  # variance 1 + 1; chi-square of two is an exponential law
     near, far = (score_of("jabbour", one, (gate * share, 0.0))[0] for share in (0.99, 1.01))
     assert (near, far) == (100.0, 0.0)
@@ -104,9 +107,9 @@ def test_yu_compares_shapes() -> None:
     parallel = score_of("yu", straight_links(0.0), along)
     assert parallel[:2].tolist() == [0.0, 0.0]  # two points have no curve yet
     assert parallel[2:] == pytest.approx(np.full(10, 100.0))  # a parallel road has the same curve
-    across = np.column_stack([10.0 * np.arange(12) - 55.0, np.zeros(12)])
-    extent = np.mean(np.square(10.0 * (np.arange(11) - 5.0)))  # of the last eleven; all matched points are one
-    found = score_of("yu", straight_links(0.0), across[:11], heading_rad=np.pi / 2.0)
+    across = np.column_stack([8.0 * np.arange(11) - 40.0, np.zeros(11)])
+    extent = np.mean(np.square(across[:, 0]))  # all matched points are one
+    found = score_of("yu", straight_links(0.0), across, heading_rad=np.pi / 2.0)
     assert found[-1] == pytest.approx(100.0 * (1.0 - np.sqrt(extent / (extent + 1.0))))
     zigzag = along + np.column_stack([2.0 * (-1.0) ** np.arange(12), np.zeros(12)])
     assert 80.0 < score_of("yu", straight_links(0.0), zigzag)[-1] < 95.0
@@ -115,7 +118,7 @@ def test_yu_compares_shapes() -> None:
 @pytest.mark.parametrize("kind", OTHERS)
 def test_scores_do_not_depend_on_the_place_and_the_direction_of_the_whole(kind) -> None:
     rng, angle, shift = np.random.default_rng(3), 0.7, np.array([300.0, -120.0])
-    track = np.column_stack([rng.normal(1.0, 3.0, 15), 10.0 * np.arange(15) - 70.0])
+    track = np.column_stack([rng.normal(4.0, 9.0, 15), 10.0 * np.arange(15) - 70.0])
     heading = 0.1
     one = score_of(kind, straight_links(0.0, 11.0, -9.0), track, heading_rad=heading)
     turned = straight_links(0.0, 11.0, -9.0, turned_rad=angle, shift=shift)
@@ -150,11 +153,11 @@ def test_rows_do_not_depend_on_each_other_and_can_forget(kind) -> None:
 
 def drive(config: ContextConfig, epochs: int = 30, snapshot: int | None = None):
     """Verdicts of a car on the eastern of two roads, whose positions go over to the western one."""
-    rng, road_map = np.random.default_rng(5), straight_links(-14.0, 0.0)
+    rng, road_map = np.random.default_rng(5), straight_links(-9.0, 0.0)
     watch, sure, out = ContextMonitor(config, road_map, 1, 1.0), np.ones(1, np.bool_), []
     passed = PositionTest(np.full(1, 5.0), np.zeros(1), np.full(1, np.inf), sure, sure)
     for k in range(epochs):
-        east = -14.0 * np.clip((k - 15) / 5.0, 0.0, 1.0)
+        east = -9.0 * np.clip((k - 15) / 5.0, 0.0, 1.0)
         place = np.array([[east, 10.0 * k - 150.0]]) + rng.normal(0.0, 2.0, (1, 2))
         fix = VehicleFix(sure, place, 4.0 * np.eye(2)[None], sure, np.array([[0.0, 10.0]]), 0.01 * np.eye(2)[None])
         if k == snapshot:
@@ -177,7 +180,8 @@ def test_each_score_drives_the_monitor_and_a_higher_threshold_warns_more(kind) -
         warned.append(np.array(doubtful))
     assert (warned[0] <= warned[1]).all()
     assert (warned[1] <= warned[2]).all()
-    assert warned[2].sum() > warned[0].sum()
+    assert warned[2].any()
+    assert not warned[2].all()
 
 
 @pytest.mark.parametrize("kind", list(ScoreKind))
