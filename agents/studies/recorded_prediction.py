@@ -159,21 +159,25 @@ def _start_s(
     some = np.isin(prn, names)
     column, time, travel, seen = column[some], time_s[some], range_m[some] / SPEED_OF_LIGHT_MPS, satellite_ecef_m[some]
 
-    def away(start: float, rows: slice | NDArray[np.int64]) -> tuple[Array, Array]:
-        """Differences (n, 3) and velocities (n, 3); infinite without a message."""
-        found = positions(messages, np.atleast_1d(start + time[rows] - travel[rows]), healthy_only=False)
-        line, at = np.arange(column[rows].size), column[rows]
-        off = seen[rows] - found.position_ecef_m[line, at]
-        return np.where(found.usable[line, at][:, None], off, np.inf), found.velocity_ecef_mps[line, at]
-
     first = np.flatnonzero(time == time[0])
     span = np.arange(messages.toe_s.min() - 7200.0, messages.toe_s.max() + 7200.0, SEARCH_S)
-    start = min((float(np.median(np.linalg.norm(away(s - time[0], first)[0], axis=1))), s - time[0]) for s in span)[1]
+    found = positions(messages, span, np.median(travel), healthy_only=False)
+    off = np.linalg.norm(found.position_ecef_m[:, column[first]] - seen[first], axis=-1)
+    off = np.where(found.usable[:, column[first]], off, np.inf)
+    start = float(span[np.argmin(np.median(off, axis=1))]) - float(time[0])
+
+    def away(start: float) -> tuple[Array, Array]:
+        """Differences (n, 3) of all satellite positions and velocities (n, 3); infinite without a message."""
+        found = positions(messages, start + time - travel, healthy_only=False)
+        line = np.arange(column.size)
+        off = seen - found.position_ecef_m[line, column]
+        return np.where(found.usable[line, column][:, None], off, np.inf), found.velocity_ecef_mps[line, column]
+
     for _ in range(4):  # Newton: along the orbits
-        off, velocity = away(start, slice(None))
+        off, velocity = away(start)
         use = np.isfinite(off).all(1)
         start += float((off[use] * velocity[use]).sum() / np.square(velocity[use]).sum()) if use.any() else 0.0
-    misfit = np.linalg.norm(away(start, slice(None))[0], axis=1)
+    misfit = np.linalg.norm(away(start)[0], axis=1)
     misfit = misfit[np.isfinite(misfit)]
     if not misfit.size or misfit.max() > SURE_M:
         raise InputError(f"{folder} must hold the messages of the day of its drive, got those of another: add them")

@@ -109,7 +109,6 @@ def made_up(folder) -> None:
         out.write("\n".join(lines) + "\n")
 
 
-@pytest.mark.skipif(real(MODEL) is None or real(MESSAGES) is None, reason="no recordings here")
 def test_time_and_places_of_a_recording_are_found(tmp_path) -> None:
     made_up(tmp_path)
     sky, city = study.read_recorded(tmp_path, CONFIG)
