@@ -128,7 +128,7 @@ def run_map_matching(
 # Drives
 
 
-class Streets(NamedTuple):
+class DrivenStreets(NamedTuple):
     """A map as it is: streets, their links for matching, and stations of the sky along the streets that can be driven.
 
     known : edges from each of which each can be reached, without those below a roof
@@ -142,7 +142,7 @@ class Streets(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def streets_of(name: str) -> Streets:
+def streets_of(name: str) -> DrivenStreets:
     """The streets of a map.
 
     Raises
@@ -156,7 +156,7 @@ def streets_of(name: str) -> Streets:
     if len(known) < 2:
         raise InputError(f"map {name} must have streets that lead back to themselves, got none: cut a larger part")
     stations = EdgeStations.along([graph.edges[k] for k in known], STATION_M)
-    return Streets(streets.frame, graph, links_of(graph), known, stations)
+    return DrivenStreets(streets.frame, graph, links_of(graph), known, stations)
 
 
 def links_of(graph: StreetGraph) -> RoadMap:
@@ -186,7 +186,7 @@ def _mask(name: str, sky: str) -> SkyMask:
     )
 
 
-def wandering(streets: Streets, length_m: float, rng: np.random.Generator) -> list[int]:
+def wandering(streets: DrivenStreets, length_m: float, rng: np.random.Generator) -> list[int]:
     """A route: from edge to edge by allowed turns, to those that were driven least, until it is long enough."""
     edges, onward = streets.graph.edges, dict[int, list[int]]()
     known = set(streets.known)
@@ -204,7 +204,7 @@ def wandering(streets: Streets, length_m: float, rng: np.random.Generator) -> li
     return out
 
 
-class Judged(NamedTuple):
+class ScoredPoints(NamedTuple):
     """Points of one drive (T,): which are wrong, what the first two phases passed, and all scores by name."""
 
     wrong_link: Bools
@@ -239,7 +239,7 @@ def work_drive(config: MapMatchingConfig, name: str, advance: Advance = ignore) 
     }  # fmt: skip
 
 
-def _all_passed(found: Judged, phases: Sequence[str]) -> Bools:
+def _all_passed(found: ScoredPoints, phases: Sequence[str]) -> Bools:
     return np.all([found.passed[phase] for phase in phases], 0) if phases else np.ones(found.wrong.size, np.bool_)
 
 
@@ -250,7 +250,7 @@ def _swept(score: Array, wrong: Bools) -> list[list[int]]:
 
 def judged_drive(
     config: MapMatchingConfig, name: str, sky: str, seeds: list[int], faulty: bool, advance: Advance = ignore
-) -> Judged:
+) -> ScoredPoints:
     """One drive through a map under a sky: its points in motion with a position."""
     streets, monitor, rng = streets_of(name), config.monitor, named_generator(seeds, "journeys")
     route = wandering(streets, config.length_m, rng)
@@ -300,7 +300,7 @@ def _on_route(route: Sequence[int], starts_m: Array, link: int, arc_m: float, no
 
 
 class _Points:
-    """Rows of :class:`Judged` as they come."""
+    """Rows of :class:`ScoredPoints` as they come."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[bool, bool, bool, bool]] = []
@@ -312,11 +312,11 @@ class _Points:
         own = {"context": float(v.score[0]), PROBABILITY: 100.0 * float(v.match.probability[0])}
         self._scores.append({**own, **said})
 
-    def done(self) -> Judged:
+    def done(self) -> ScoredPoints:
         """All points."""
         wrong, beyond, position, speed = np.array(self._rows, np.bool_).reshape(-1, 4).T
         scores = {name: np.array([row[name] for row in self._scores]) for name in SCORES}
-        return Judged(wrong, beyond, {"position": position, "speed": speed}, scores)
+        return ScoredPoints(wrong, beyond, {"position": position, "speed": speed}, scores)
 
 
 # Results

@@ -203,14 +203,15 @@ def predicted(sky: RecordedSky, city: City) -> Bools:
 
 def compared(sky: RecordedSky, city: City, config: RecordedPredictionConfig) -> dict[str, Any]:
     """Received less predicted by error of the model and by threshold; and the C/N0 of what is predicted in sight."""
-    by_error = []
+    by_error: list[dict[str, Any]] = []
     for sigma in config.height_sigmas_m:
         rng = named_generator([config.seed, round(1000.0 * sigma)], "map")
         errors = MapConfig(height_sigma_m=sigma)
         cities = [as_mapped(city, errors, rng) for _ in range(config.draws)] if sigma else [city]
         each = np.array([predicted(sky, one) for one in cities])
-        by_error += [{"sigma_m": sigma, "cn0_dbhz": least} | _differences(sky, each, least)
-                     for least in config.least_cn0_dbhz]  # fmt: skip
+        by_error += [
+            {"sigma_m": sigma, "cn0_dbhz": least, **_differences(sky, each, least)} for least in config.least_cn0_dbhz
+        ]
     sight = predicted(sky, city)
     received = sky.above & (sky.cn0_dbhz > 0.0)
     return {
