@@ -334,8 +334,7 @@ def summary(config: MapMatchingConfig, drives: Sequence[Mapping[str, Any]]) -> d
             for chain in (ALONE, PUBLISHED):
                 at = fitted(_total(others, score, chain), sum(d["wrong"] for d in others), config.equal_far)
                 key = {"map": name, "score": score, "chain": chain}
-                total = _total(own, score, chain)
-                curves.append(key | _curve(total, sum(d["wrong"] for d in own), config.equal_far))
+                curves.append(key | _curve(own, score, chain, config.equal_far))
                 rows += [
                     key | {"group": group, "rule": rule, "threshold": float(THRESHOLDS[at[rule]])}
                     | rates(some, score, chain, at[rule])
@@ -400,16 +399,24 @@ def _interval(events: Array, of: Array) -> list[float | None]:
     return [float(ratio[0]), *(float(q) for q in np.quantile(ratio[1:], (tail, 1.0 - tail)))]
 
 
-def _curve(sweep: WarningSweep, wrong: int, equal_far: float) -> dict[str, Any]:
-    """Warned shares of right and wrong points by threshold; the area below the second over the first one, and the
-    second where the first is ``equal_far``, on the line between neighbouring thresholds."""
-    false_alarms = sweep.false_alarms / max(sweep.points - wrong, 1)
-    detected = 1.0 - sweep.missed / max(wrong, 1)
-    x, y = np.concatenate([[0.0], false_alarms, [1.0]]), np.concatenate([[0.0], detected, [1.0]])
+def _curve(drives: Sequence[Mapping[str, Any]], score: str, chain: str, equal_far: float) -> dict[str, Any]:
+    """Warned shares of right and wrong points by threshold; the area below the second over the first one, by drive;
+    and the second where the first is ``equal_far``, on the line between neighbouring thresholds."""
+    sweeps = np.array([d["sweeps"][score][chain] for d in drives], np.float64)
+    wrong = np.array([d["wrong"] for d in drives], np.float64)
+    right = np.array([d["points"] for d in drives]) - wrong
+    drawn = named_generator(0, "resamples").integers(len(drives), size=(RESAMPLES, len(drives)))
+    times = np.stack([np.bincount(one, minlength=len(drives)) for one in drawn])
+    times = np.concatenate([np.ones((1, len(drives)), np.int64), times])  # as they are, and drawn again
+    x = times @ sweeps[:, 0] / np.maximum(times @ right, 1.0)[:, None]
+    y = 1.0 - times @ sweeps[:, 1] / np.maximum(times @ wrong, 1.0)[:, None]
+    edge = np.ones((len(times), 1))
+    across, up = np.concatenate([0.0 * edge, x, edge], 1), np.concatenate([0.0 * edge, y, edge], 1)
+    area = np.sum(0.5 * (up[:, 1:] + up[:, :-1]) * np.diff(across), 1)
     return {
-        "right": np.round(false_alarms, 5).tolist(), "wrong": np.round(detected, 5).tolist(),
-        "area": float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(x))) if wrong else None,
-        "detected": float(np.interp(equal_far, x, y)) if wrong else None,
+        "right": np.round(x[0], 5).tolist(), "wrong": np.round(y[0], 5).tolist(),
+        "area": _interval(np.where(times @ wrong > 0.0, area, 0.0), np.asarray(times @ wrong > 0.0, np.float64)),
+        "detected": float(np.interp(equal_far, across[0], up[0])) if wrong.any() else None,
     }  # fmt: skip
 
 
@@ -475,8 +482,8 @@ def equal_rows(result: Mapping[str, Any]) -> Table:
     rows = _of(result, "equal", ALONE, "all")
     return heads, [
         (score, short(r["map"]), f"{r['threshold']:g}", _text(r["per_right"]), _text(r["per_wrong"]), _text(r["ocdr"]),
-         *(("-", "-") if (own := curve[r["map"], score])["area"] is None
-           else (f"{100.0 * (1.0 - own['detected']):.0f} %", f"{own['area']:.2f}")))
+         *(("-", "-") if (own := curve[r["map"], score])["detected"] is None
+           else (f"{100.0 * (1.0 - own['detected']):.0f} %", "{:.2f} ({:.2f} .. {:.2f})".format(*own["area"]))))
         for score in SCORES for r in rows if r["score"] == score
     ]  # fmt: skip
 
