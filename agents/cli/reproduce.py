@@ -127,11 +127,43 @@ def context(
     show(tables, shown(tables), as_json, f"tables.json and figures: {out}")
 
 
+@app.command("map-matching")
+def map_matching(
+    out: Annotated[Path, typer.Option(help="Folder for results.json and the figure; a run is resumed there.")],
+    maps: Annotated[
+        list[str],
+        typer.Option("--map", metavar="MAP", help="FILE.osm, .osm.gz or .osm.pbf, or a packaged map; two at least."),
+    ],
+    drives: Annotated[
+        int | None, typer.Option(min=2, help="Drives on each map under each sky; the study has 40.")
+    ] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Scores of map matching beside S5's (its Table 5) on real roads; thresholds are fitted on the other maps.
+
+    Example: lanebound reproduce map-matching --out out/matching --map berlin_kreuzberg --map Helsinki.osm.pbf
+    """
+    from lanebound.agents.studies.map_matching import MapMatchingConfig, run_map_matching, shown
+
+    config = MapMatchingConfig.load(changes(assignments, maps=maps, drives=drives))
+    result = carry_out(out, "part", lambda report: run_map_matching(config, out, jobs, report), "drives")
+    show(result, shown(result), as_json, f"results.json and figure: {out}")
+
+
 @app.command("prediction")
 def prediction(
     out: Annotated[Path, typer.Option(help="Folder for results.json and the figures; a run is resumed there.")],
     streets: Annotated[
         int | None, typer.Option(min=1, help="Streets of each sky for the fit, and as many others; the study has 10.")
+    ] = None,
+    berlin: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder with smartLoc's drive over Gendarmenmarkt, its city model and broadcast messages.",
+        ),
     ] = None,
     jobs: Jobs = 1,
     assignments: Assignments = None,
@@ -144,7 +176,7 @@ def prediction(
     from lanebound.agents.studies.prediction import PredictionConfig, run_prediction, shown
 
     config = PredictionConfig.load(changes(assignments, streets=streets))
-    result = carry_out(out, "part", lambda report: run_prediction(config, out, jobs, report))
+    result = carry_out(out, "part", lambda report: run_prediction(config, out, jobs, report, berlin))
     show(result, shown(result), as_json, f"results.json and figures: {out}")
 
 

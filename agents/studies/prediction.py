@@ -25,6 +25,14 @@ from numpy.typing import NDArray
 
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.report.pages import Table
+from lanebound.agents.studies.recorded_prediction import (
+    RecordedPredictionConfig,
+    compared,
+    read_recorded,
+    recorded_figure,
+    recorded_rows,
+    sight_rows,
+)
 from lanebound.agents.studies.street_drives import (
     AZIMUTH_STEP_DEG,
     ELEVATION_STEP_DEG,
@@ -83,6 +91,9 @@ class PredictionConfig(StreetDrivesConfig):
         (0.5, 1.0, 2.5, 5.0), min_length=1, description="errors of heights in the maps, 1 sigma [m]; S2: 2 to 3 m"
     )
     map: MapConfig = Field(MapConfig(), description="the map of the prediction of availability and levels")
+    recorded: RecordedPredictionConfig = Field(
+        RecordedPredictionConfig(), description="what is compared of a recorded drive"
+    )
 
     @property
     def maps(self) -> tuple[MapConfig, ...]:
@@ -91,15 +102,21 @@ class PredictionConfig(StreetDrivesConfig):
 
 
 def run_prediction(
-    config: PredictionConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore
+    config: PredictionConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore, berlin: Path | None = None
 ) -> dict[str, Any]:
     """Predict and drive the missing streets, and write ``results.json`` and figures; returns the results.
+
+    Parameters
+    ----------
+    berlin : folder with a recorded drive, the city model that it passes through and messages of the day
 
     Raises
     ------
     InputError
-        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files; ``berlin`` lacks a
+        file, or its files are not of one drive.
     """
+    drive = None if berlin is None else read_recorded(berlin, config.recorded)
     found = work_streets(config, "prediction", 2 * config.streets, work_street, out, jobs, on_progress)
     streets = {sky: [SampledStreet.of(part) for part in parts] for sky, parts in found.items()}
     model = fitted([street for each in streets.values() for street in each[: config.streets]])
@@ -115,6 +132,9 @@ def run_prediction(
         "availability": [{"sky": name} | judged(model, each) for name, each in groups.items()],
         "reliability": [row | {"sky": name} for name, each in groups.items() for row in reliability(model, each)],
     }
+    if drive is not None:
+        result["recorded"] = compared(*drive, config.recorded)
+        save(recorded_figure(result["recorded"], config.recorded.least_cn0_dbhz), out / "recorded.svg")
     save(figure_6({sky: each[0] for sky, each in unseen.items()}, config.vehicles), out / "satellites.svg")
     save(reliability_figure([row for row in result["reliability"] if row["sky"] == ALL]), out / "reliability.svg")
     return stored(result, out)
@@ -364,6 +384,12 @@ def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
     yield "Availability on streets that nothing was fitted on; intervals of 95 % by street", availability(result)
     rows = [(b["sky"], f"{b['predicted']:.2f}", _cell(b["usable"]), f"{b['samples']:,}") for b in result["reliability"]]
     yield "Reliability of the predicted probability", (("sky", "predicted", "usable", "samples"), rows)
+    if found := result.get("recorded"):
+        title = (
+            f"GPS satellites of the recorded drive: received less predicted by its city model, {found['epochs']} places"
+        )
+        yield title, recorded_rows(found)
+        yield "Received satellites by what the model predicts", sight_rows(found)
 
 
 def _cell(found: Mapping[str, float]) -> str:

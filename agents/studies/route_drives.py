@@ -154,7 +154,7 @@ def drive_legs(
         faults = FaultSchedule(random_campaign(FaultPriors.preset(config.faults), epochs * base.dt_s, rng, view))
     navigator = Navigator(base, track, mask, list(seeds[1:]), faults=faults)
     met: list[list[tuple[bool, bool, float]]] = [[] for _ in legs]
-    for k, truth in enumerate(_truths(ways, wait, epochs, base.dt_s)):
+    for k, truth in enumerate(truths_of(ways, wait, epochs, base.dt_s)):
         solution = navigator.step(truth)
         usable, rtk = solution.available & ~solution.alert, solution.mode == Mode.RTK
         for b, way in enumerate(ways):
@@ -169,9 +169,14 @@ def drive_legs(
 
 
 class RouteMotion(NamedTuple):
-    """The motion of a vehicle, by epoch (K + 1,), from standing to standing; ``row`` of the stations of the mask."""
+    """The motion of a vehicle, by epoch (K + 1,), from standing to standing; ``row`` of the stations of the mask.
+
+    starts_m (n + 1,): where along the way its edges begin, in the middles of junctions, and where the last one ends.
+    """
 
     length_m: float
+    starts_m: Array
+    arc_m: Array
     place_en_m: Array
     heading_rad: Array
     speed_mps: Array
@@ -183,7 +188,8 @@ class RouteMotion(NamedTuple):
         drive: DriveConfig, dt_s: float,
     ) -> RouteMotion:  # fmt: skip
         """The motion along edges."""
-        road = Road.through(_lane_along(edges, leg), corner_radius_m=np.inf)
+        parts = _lane_along(edges, leg)
+        road = Road.through(np.concatenate(parts), corner_radius_m=np.inf)
         near = cKDTree(stations.place_en_m[rows])
         limit = stations.speed_mps[rows][near.query(road.vertices_en_m)[1]]
         speed = _profile(road, limit, drive)
@@ -194,11 +200,24 @@ class RouteMotion(NamedTuple):
         v = np.interp(at, time_s, speed)
         arc = np.minimum(road.arc_at_m[k] + 0.5 * (speed[k] + v) * (at - time_s[k]), road.length_m)
         place, heading = road.pose_at(arc)
-        return cls(road.length_m, place, heading, v, rows[near.query(place)[1]])
+        return cls(road.length_m, _starts_m(road, parts), arc, place, heading, v, rows[near.query(place)[1]])
 
 
-def _lane_along(edges: Sequence[StreetEdge], leg: Leg) -> Array:
-    """The rightmost lanes of edges in order, with chords across the junctions.  (n, 2) [m]."""
+def _starts_m(road: Road, parts: Sequence[Array]) -> Array:
+    """Arcs (n + 1,) of the middles of the chords between parts of a line, one after another, and of both ends."""
+    starts, at = [0.0], 0.0
+    for before, after in pairwise(parts):
+        middle = 0.5 * (before[-1] + after[0])
+        ahead = np.linalg.norm(np.diff(before, axis=0), axis=1).sum() + np.linalg.norm(after[0] - before[-1])
+        inside = np.flatnonzero((road.arc_at_m > at) & (road.arc_at_m <= at + 1.5 * ahead + 2.0))
+        away = np.linalg.norm(road.vertices_en_m[inside] - middle, axis=-1)
+        at = float(road.arc_at_m[inside[np.argmin(away)]])
+        starts.append(at)
+    return np.array([*starts, road.length_m])
+
+
+def _lane_along(edges: Sequence[StreetEdge], leg: Leg) -> list[Array]:
+    """The rightmost lanes of edges in order; across the junctions lie chords.  (n, 2) [m] each."""
     parts = []
     for k, edge in enumerate(edges):
         line = lane_line(edge)
@@ -208,7 +227,7 @@ def _lane_along(edges: Sequence[StreetEdge], leg: Leg) -> Array:
         end = leg.end * arc[-1] if k == len(edges) - 1 else arc[-1] - corner
         at = np.array([begin, *arc[(arc > begin + 1.0) & (arc < end - 1.0)], max(end, begin + 1.0)])
         parts.append(np.stack([np.interp(at, arc, line[:, j]) for j in (0, 1)], -1))
-    return np.concatenate(parts)
+    return parts
 
 
 def _profile(road: Road, limit_mps: Array, drive: DriveConfig) -> Array:
@@ -221,7 +240,7 @@ def _profile(road: Road, limit_mps: Array, drive: DriveConfig) -> Array:
     return speed
 
 
-def _truths(ways: Sequence[RouteMotion], wait: int, epochs: int, dt_s: float) -> Iterator[Truth]:
+def truths_of(ways: Sequence[RouteMotion], wait: int, epochs: int, dt_s: float) -> Iterator[Truth]:
     """The truths of all vehicles, which stand before and after their drives."""
 
     def at(k: int) -> tuple[Array, Array, Array, Array]:

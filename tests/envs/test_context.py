@@ -80,10 +80,16 @@ def test_a_warning_costs_what_is_asked_for_while_the_car_drives_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "judges"), [("rtk_reckoning", "vehicle"), ("rtk_reckoning", "codes"), ("monitored_codes", "codes")]
-)
-def test_the_engine_has_the_reports_of_single_environments(kind: str, judges: str) -> None:
-    navigator = {"kind": kind, "context": {"interval_s": 0.5, "alerts": True, "judges": judges}}
+    ("kind", "judges", "score"),
+    [
+        ("rtk_reckoning", "vehicle", "context"), ("rtk_reckoning", "codes", "context"),
+        ("monitored_codes", "codes", "context"), ("rtk_reckoning", "vehicle", "jabbour"),
+        ("rtk_reckoning", "vehicle", "yu"),
+    ],
+)  # fmt: skip
+def test_the_engine_has_the_reports_of_single_environments(kind: str, judges: str, score: str) -> None:
+    context = {"interval_s": 0.5, "alerts": True, "judges": judges, "map": {"score": score}}
+    navigator = {"kind": kind, "context": context}
     config = {**WATCHED, "navigator": navigator, "observation": {"form": "flat"}}
     env = gymnasium.make("lanebound/LaneKeeping-v0", config=config)
     engine = gymnasium.make_vec("lanebound/LaneKeeping-v0", num_envs=2, config=config)

@@ -18,6 +18,7 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
 from lanebound.integrity.monitoring.context.fuzzy import RuleBase, s5_rules
+from lanebound.integrity.monitoring.context.link_scores import ScoreKind
 from lanebound.integrity.positioning.map_matching.matching import MapMatches
 from lanebound.integrity.positioning.map_matching.road_map import NO_LINK
 
@@ -30,10 +31,15 @@ Bools = NDArray[np.bool_]
 class MapPhaseConfig(Config):
     """The third phase; S5 sections 3.3, 4.2 and 5."""
 
+    score: ScoreKind = Field(
+        ScoreKind.CONTEXT, description="context (S5), quddus, velaga, jabbour or yu; each needs a threshold of its own"
+    )
     threshold: float = Field(71.0, ge=0, le=100, description="score below which the driver is warned; S5 section 4.3")
     intervals: int = Field(10, ge=1, le=600, description="N, over which distances are summed [epochs]; as in phase 2")
     printed_allowance: bool = Field(False, description="subtract errors of position and map as in S5 eq 10")
-    map_sigma_m: float = Field(5.0, ge=0, description="error of the map for printed_allowance [m]; chosen")
+    map_sigma_m: float = Field(
+        5.0, ge=0, description="error of the map for printed_allowance and the other scores [m]; chosen"
+    )
     least_probability: float = Field(
         0.0, ge=0, le=1, description="least probability of the matched link [-]; 0: as S5, which has none"
     )
@@ -79,6 +85,7 @@ class MapPhase:
         dt_s: float,
         rows: Rows = EVERY,
         headed: Bools | None = None,
+        score: Array | None = None,
     ) -> MapTest:
         """Score the match of an epoch of the vehicles in ``rows``; B is their number.
 
@@ -89,6 +96,7 @@ class MapPhase:
         average_mps : (B,) average Doppler speed of the second phase
         dt_s : length of an epoch
         headed : (B,) the heading is known (default: all); where it is not, distance and speed alone are compared
+        score : (B,) of another method, in place of that of S5
         """
         c, matched = self.config, match.link != NO_LINK
         here = np.concatenate([match.foot_en_m, position_en_m], -1)
@@ -108,6 +116,7 @@ class MapPhase:
         distance, off = np.abs(mapped - measured), np.abs(speed - average_mps)
         angle = np.rad2deg(np.abs(wrap_angle(match.heading_rad - heading_rad)))
         angle = angle if headed is None else np.where(headed, angle, 0.0)
-        score = np.where(matched, c.rules.score(angle, distance, off), 0.0)
+        if score is None:
+            score = np.where(matched, c.rules.score(angle, distance, off), 0.0)
         passed = matched & (score >= c.threshold) & (match.probability >= c.least_probability)
         return MapTest(score, angle, distance, off, matched, passed)

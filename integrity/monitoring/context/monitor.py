@@ -25,6 +25,7 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
 from lanebound.integrity.monitoring.context.code_fix import CodeCovariance, CodeErrorsConfig, CodeFix, JudgedFix
+from lanebound.integrity.monitoring.context.link_scores import make_score
 from lanebound.integrity.monitoring.context.map_phase import MapPhase, MapPhaseConfig, MapTest
 from lanebound.integrity.monitoring.context.position_phase import PositionPhaseConfig, PositionTest, check_position
 from lanebound.integrity.monitoring.context.speed_phase import SpeedPhase, SpeedPhaseConfig, SpeedTest
@@ -143,6 +144,8 @@ class ContextMonitor:
         self.matcher = make_matcher(road_map, config.matching, batch)
         self.speed = SpeedPhase(config.speed, batch)
         self.map = MapPhase(config.map, batch)
+        m = config.map
+        self.score = make_score(m.score, road_map, config.matching, m.map_sigma_m, m.intervals, batch)
         unknown = np.full(batch, ContextReason.COLLECTING.code)
         self._held: Memory = {"reason": unknown, "score": np.zeros(batch)}  # of speed and map, last in motion
 
@@ -150,19 +153,24 @@ class ContextMonitor:
     def memory(self) -> dict[str, Memory]:
         """See the class."""
         return {
-            "matcher": self.matcher.memory, "speed": self.speed.memory, "map": self.map.memory, "held": self._held
+            "matcher": self.matcher.memory, "speed": self.speed.memory, "map": self.map.memory, "held": self._held,
+            **({} if self.score is None else {"score": self.score.memory}),
         }  # fmt: skip
 
     @memory.setter
     def memory(self, memory: dict[str, Memory]) -> None:
         self.matcher.memory, self.speed.memory = memory["matcher"], memory["speed"]
         self.map.memory, self._held = memory["map"], memory["held"]
+        if self.score is not None:
+            self.score.memory = memory["score"]
 
     def forget(self, rows: Rows) -> None:
         """Begin anew with these vehicles."""
         self.matcher.forget(rows)
         self.speed.forget(rows)
         self.map.forget(rows)
+        if self.score is not None:
+            self.score.forget(rows)
         self._held["reason"][rows], self._held["score"][rows] = ContextReason.COLLECTING.code, 0.0
 
     def step(
@@ -193,17 +201,18 @@ class ContextMonitor:
         match = self.matcher.step(inputs, rows)
         last = np.where(fix.has_velocity, np.hypot(*fix.velocity_en_mps.T), np.abs(wheel_mps))
         average = np.where(speed.known, speed.average_mps, last)
+        score = None if self.score is None else self.score.step(match, inputs, rows)
         tested = self.map.step(
-            match, fix.position_en_m, inputs.sigma_m, inputs.heading_rad, average, self.dt_s, rows, inputs.headed
+            match, fix.position_en_m, inputs.sigma_m, inputs.heading_rad, average, self.dt_s, rows, inputs.headed, score
         )  # fmt: skip
-        held, score = self._held_at_rest(fix.has_velocity, speed, tested, rows)
+        held, shown = self._held_at_rest(fix.has_velocity, speed, tested, rows)
         reason = self._of_position(fix.located, position)
         reason = np.where(reason == ContextReason.TRUSTED.code, held, reason)
         calm = ContextReason.TRUSTED.code if self.config.warn_at_rest else ContextReason.SLOW.code
         warn = (reason != ContextReason.TRUSTED.code) & (reason != calm)
         names = np.append(self.road_map.identity, NO_LINK)
         return ContextVerdict(
-            warn, reason, _phases_passed(position, speed, tested), score, names[match.link], match, position, speed,
+            warn, reason, _phases_passed(position, speed, tested), shown, names[match.link], match, position, speed,
             tested,
         )  # fmt: skip
 

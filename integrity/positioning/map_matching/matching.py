@@ -21,7 +21,7 @@ from lanebound.integrity.positioning.map_matching.road_map import NO_LINK, NearL
 
 __all__ = [
     "HiddenMarkovConfig", "MapMatcher", "MapMatches", "MatchInputs", "MatcherKind", "MatchingConfig", "NearestLink",
-    "TopologicalConfig", "TopologicalMatcher", "connectivity", "heading_agreement",
+    "TopologicalConfig", "TopologicalMatcher", "connectivity", "heading_agreement", "link_weights",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -228,9 +228,8 @@ class NearestLink:
 class TopologicalMatcher:
     """Weight-based topological matching: heading, proximity and connection to the last link.
 
-    ``score = w_h cos(dtheta) + w_d (1 - d / scale) + w_c c`` with c = 1 on the last link and on links that it leads
-    to, 0 on links that begin where it begins (a choice at a junction can be corrected) or without a last link, -1 on
-    others. A vehicle that is too slow to have a heading stays on its link. ``memory``: link (B,), the last one.
+    It takes the link of the largest :func:`link_weights`. A vehicle that is too slow to have a heading stays on its
+    link. ``memory``: link (B,), the last one.
     """
 
     def __init__(self, road_map: RoadMap, config: MatchingConfig, batch: int) -> None:
@@ -241,9 +240,7 @@ class TopologicalMatcher:
         """The link of the highest score."""
         c, w, last = self.config, self.config.topological, self.memory["link"][rows]
         near = self.road_map.near(inputs.position_en_m, c.radius_m, c.candidates)
-        score = w.heading * heading_agreement(near, inputs)
-        score = score + w.distance * np.maximum(1.0 - np.where(near.there, near.distance_m, 0.0) / w.scale_m, -1.0)
-        score = score + w.connection * connectivity(self.road_map, last, near.link)
+        score = link_weights(self.road_map, near, inputs, last, w)
         stays = (inputs.speed_mps[:, None] < STEADY_MPS) & (near.link == last[:, None])
         score = np.where(near.there, score + 10.0 * stays, -np.inf)
         best = np.argmax(score, -1)
@@ -256,6 +253,20 @@ class TopologicalMatcher:
     def forget(self, rows: Rows) -> None:
         """Begin without a last link."""
         self.memory["link"][rows] = NO_LINK
+
+
+def link_weights(
+    road_map: RoadMap, near: NearLinks, inputs: MatchInputs, last: Ints, config: TopologicalConfig
+) -> Array:
+    """``w_h cos(dtheta) + w_d (1 - d / scale) + w_c c`` of each candidate (B, K), after the last links (B,).
+
+    c = 1 on the last link and on links that it leads to, 0 on links that begin where it begins (a choice at a junction
+    can be corrected) or without a last link, -1 on others.
+    """
+    c = config
+    weight = c.heading * heading_agreement(near, inputs)
+    weight = weight + c.distance * np.maximum(1.0 - np.where(near.there, near.distance_m, 0.0) / c.scale_m, -1.0)
+    return np.asarray(weight + c.connection * connectivity(road_map, last, near.link))
 
 
 def connectivity(road_map: RoadMap, last: Ints, link: Ints) -> Array:
