@@ -282,8 +282,8 @@ def _decided(found: Mapping[str, Any]) -> Table:
         for place, (_, _, drivers) in enumerate(_each(found))
         for pair in pairs
         for key in JUDGED
-        if drivers[pair[0]][key] != drivers[pair[1]][key]
     }
+    # Where no drive differs p is 1, and the comparison counts: which ones differ is not known before the drives.
     adjusted = holm([1.0 if change.p is None else change.p for change in changes.values()])
     sign = {at: _sign(change, p) for (at, change), p in zip(changes.items(), adjusted, strict=True)}
     rows = []
@@ -291,17 +291,17 @@ def _decided(found: Mapping[str, Any]) -> Table:
         available = f"{100.0 * np.mean(drivers[found['config']['drivers'][0]]['available']):.3g}"
         verdicts = []
         for pair in pairs:
-            harm, cost, speed = (sign.get((place, pair, key), 0) for key in JUDGED)
+            harm, cost, speed = (sign[place, pair, key] for key in JUDGED)
             verdict = _verdict(min(harm, cost), max(harm, cost), speed, _pace(*(drivers[name] for name in pair)))
-            verdicts.append(f"{verdict}{_shown(changes.get((place, pair, JUDGED[0])))}")
+            verdicts.append(f"{verdict}{_shown(changes[place, pair, JUDGED[0]])}")
         rows.append((env, navigator, available, *(_harm_at(part) for part in drivers.values()), *verdicts))
     heads = ("id", "navigator", "available [%]", *(f"`{name}`" for name in found["config"]["drivers"]))
     return (*heads, *(f"`{reads}` against `{rival}`; harm less its" for reads, rival in pairs)), rows
 
 
-def _shown(change: Difference | None) -> str:
+def _shown(change: Difference) -> str:
     """The difference of the harm with its 95 % interval; nothing where no drive differs."""
-    if change is None or change.difference is None or change.low is None:
+    if change.difference is None or change.low is None:
         return ""
     return f"; {change.difference:.2g} ({change.low:.2g} to {change.high:.2g})"
 

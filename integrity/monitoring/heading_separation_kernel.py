@@ -107,14 +107,17 @@ def largest_course(faults: Records) -> float:
 
 
 @jit
-def advance_spread(turn: Any, variance: float, across_e: float, across_n: float, p: Any, growth: Any) -> None:
+def advance_spread(
+    turn: Any, variance: float, right_e: float, right_n: float, runs: tuple[float, ...], p: Any, growth: Any
+) -> None:  # fmt: skip
     """Advance the covariance of h, and of h with the part of every position that it has moved.
 
     Parameters
     ----------
     turn : TURN of the heading filter
     variance : of ``c_k`` as a white error, the largest of all k [rad^2]
-    across_e, across_n : ``V dt`` across the course, 0 where the position does not move along the heading [m]
+    right_e, right_n : direction to the right of the course [-]
+    runs : ``V dt`` of every dead reckoning, 0 where it does not move along the heading [m]
     p, growth : SPREAD, and GROWTH of every dead reckoning
     """
     dt, delta = (0.0, 0.0) if turn.rests else (turn.dt, turn.delta)
@@ -124,7 +127,7 @@ def advance_spread(turn: Any, variance: float, across_e: float, across_n: float,
     mean = h - 0.5 * (dt * b + delta * s)
     h -= dt * b + delta * s
     for k in range(growth.shape[0]):
-        g = growth[k]
+        g, across_e, across_n = growth[k], runs[k] * right_e, runs[k] * right_n
         e, n = g.fh_e - 0.5 * (dt * g.fb_e + delta * g.fs_e), g.fh_n - 0.5 * (dt * g.fb_n + delta * g.fs_n)
         g.f_ee += across_e * (2.0 * e + across_e * mean)
         g.f_en += across_e * n + across_n * e + across_e * across_n * mean

@@ -4,7 +4,9 @@ Each epoch the position first moves on from the last RTK fix by Doppler or odome
 would have without RTK. When both levels hold, the new RTK position lies within their sum of it, on either axis. A wrong
 fix, wrong reference coordinates or a spoofer that moves all satellites together violate this condition and no other:
 their residuals are perfect. A slow drift violates it in no single epoch. Against drifts a backup solution dead-reckons
-in parallel with RTK, for up to ``rtk.backup_s`` seconds, and then restarts at the RTK position. A contradiction
+in parallel with RTK, for up to ``rtk.backup_s`` seconds, and then restarts at the RTK position. Where changes of
+carriers move the position, which drift with the reference and with a spoofer as RTK does, it moves by gyro and
+odometer, and RTK is also compared with it at the end of an outage. A contradiction
 between the backup solution and RTK counts as a jump at the time when the backup solution started, and the position
 returns to the backup solution. What follows a contradiction:
 

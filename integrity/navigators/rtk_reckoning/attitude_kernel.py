@@ -164,7 +164,11 @@ def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -
             vehicle.doubt.refuses = False
         note_course(jump, vehicle.since_calibration, heading, vehicle.doubt)
         return False
-    variance *= 1.0 if w.by_carriers else par.doppler.course
+    variance *= par.doppler.course
+    # Carriers count no more than range rates here: levels without satellites have no hypothesis of a failed gyro, and
+    # rest on a heading that is a hundred times better would be exceeded before they alert.
+    if w.by_carriers:
+        variance *= (par.doppler.sigma / par.doppler.carrier_sigma) ** 2
     turn, signed = w.step.turn, math.copysign(magnitude, speed)
     right_e, right_n = math.cos(course) / signed, -math.sin(course) / signed
     turn.right[0], turn.right[1] = right_e, right_n

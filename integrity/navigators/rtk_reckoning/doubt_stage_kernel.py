@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.monitoring.heading_doubt_kernel import NONE, follow_paths, judge_by_path, shift_of_lever
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, Epoch
 
 __all__ = ["follow_histories", "judge_histories"]
 
@@ -20,6 +22,11 @@ def follow_histories(first: int, last: int, epoch: Epoch) -> None:
         taken = vehicle.position[0] - w.before_e, vehicle.position[1] - w.before_n
         run = 0.0 if w.resting else par.dt * epoch.observed[v].speed
         follow_paths(taken, run, w.middle, w.reckoned, w.turned, par.lever, vehicle.doubt, vehicle.growth)
+        if w.backup_run != 0.0:  # carriers moved the position; the backup solution took another path
+            backup, run = vehicle.growth[BACKUP], w.backup_run
+            off_e, off_n = taken[0] - run * math.sin(w.middle), taken[1] - run * math.cos(w.middle)
+            backup.doppler_e, backup.doppler_n = backup.doppler_e + off_e, backup.doppler_n + off_n
+            backup.gyro_e, backup.gyro_n = backup.gyro_e + off_e, backup.gyro_n + off_n
 
 
 @jit(borrows=True)

@@ -28,7 +28,7 @@ def begin(first: int, last: int, epoch: Epoch) -> None:
         vehicle.since_rtk += epoch.parameters[0].dt
         vehicle.since_calibration += epoch.parameters[0].dt
         vehicle.backup.age += epoch.parameters[0].dt
-        w.mode, w.integrates, w.run, w.excluded, w.cause = UNDECIDED, False, 0.0, 0, NONE
+        w.mode, w.integrates, w.run, w.backup_run, w.excluded, w.cause = UNDECIDED, False, 0.0, 0.0, 0, NONE
 
 
 @jit

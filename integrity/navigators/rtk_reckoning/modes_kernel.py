@@ -44,13 +44,23 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
             stand(par, w, vehicle)
             continue
         before_e, before_n = (vehicle.velocity[0], vehicle.velocity[1]) if vehicle.has_velocity else (w.v_e, w.v_n)
-        if w.by_carriers:  # it is the mean of the epoch
-            move(vehicle, par.dt * w.mean_e, par.dt * w.mean_n)
-            vehicle.growth[LATEST].have_l, vehicle.growth[BACKUP].have_l = False, False
-        else:
+        if not w.by_carriers:
             move(vehicle, 0.5 * par.dt * (before_e + w.v_e), 0.5 * par.dt * (before_n + w.v_n))
-        for k in range(2):
-            step_doppler(w.step, w.q[0, 0], w.q[0, 1], w.q[1, 1], par.doppler.bias, vehicle.growth[k])
+            for k in range(2):
+                step_doppler(w.step, w.q[0, 0], w.q[0, 1], w.q[1, 1], par.doppler.bias, vehicle.growth[k])
+            continue
+        # Their velocity is the mean of the epoch, and drifts with the reference and with a spoofer as RTK does: the
+        # backup solution, which RTK is compared with, moves by gyro and odometer.
+        vehicle.position[0] += par.dt * w.mean_e
+        vehicle.position[1] += par.dt * w.mean_n
+        latest = vehicle.growth[LATEST]
+        latest.have_l = False
+        step_doppler(w.step, w.q[0, 0], w.q[0, 1], w.q[1, 1], par.doppler.bias, latest)
+        speed = epoch.observed[v].speed
+        w.backup_run = par.dt * speed
+        vehicle.backup.position[0] += w.backup_run * math.sin(w.middle)
+        vehicle.backup.position[1] += w.backup_run * math.cos(w.middle)
+        _grow_by_odometer(par, speed, vehicle, w, vehicle.growth[BACKUP])
 
 
 @jit
@@ -76,7 +86,6 @@ def doppler_is_tighter(w: Any, vehicle: Any, speed: float, k_md: Array, par: Any
 def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
     """IMU and odometer: ``p += V dt [sin t, cos t]``; usable after a first position."""
     par = epoch.parameters[0]
-    rules = par.odometer
     for v in range(first, last):
         vehicle, w = epoch.vehicles[v], epoch.work[v]
         if w.mode != UNDECIDED or not vehicle.initialised:
@@ -85,16 +94,22 @@ def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
         if w.resting:
             stand(par, w, vehicle)
             continue
-        s, c, speed = math.sin(w.middle), math.cos(w.middle), epoch.observed[v].speed
+        speed = epoch.observed[v].speed
         w.run = par.dt * speed
-        move(vehicle, w.run * s, w.run * c)
-        b_theta, bias = heading_bias(vehicle, rules), rules.bias + rules.scale * abs(speed)
-        aside = _slip_bound(vehicle.heading, par, speed, w.turning)
+        move(vehicle, w.run * math.sin(w.middle), w.run * math.cos(w.middle))
         for k in range(2):
-            g = vehicle.growth[k]
-            step_odometer(w.step, speed, s, c, rules.sigma, bias, b_theta, g)
-            g.box_e += aside * abs(w.cos_h)
-            g.box_n += aside * abs(w.sin_h)
+            _grow_by_odometer(par, speed, vehicle, w, vehicle.growth[k])
+
+
+@jit(borrows=True)
+def _grow_by_odometer(par: Any, speed: float, vehicle: Any, w: Any, g: Any) -> None:
+    """Grow the errors of a dead reckoning that gyro and odometer have moved; speed [m/s]."""
+    rules = par.odometer
+    b_theta, bias = heading_bias(vehicle, rules), rules.bias + rules.scale * abs(speed)
+    aside = _slip_bound(vehicle.heading, par, speed, w.turning)
+    step_odometer(w.step, speed, math.sin(w.middle), math.cos(w.middle), rules.sigma, bias, b_theta, g)
+    g.box_e += aside * abs(w.cos_h)
+    g.box_n += aside * abs(w.sin_h)
 
 
 @jit

@@ -44,7 +44,7 @@ def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
     par = epoch.parameters[0]
     for v in range(first, last):
         vehicle, w, turn, faults = epoch.vehicles[v], epoch.work[v], epoch.work[v].step.turn, epoch.faults[v]
-        across_e, across_n = w.run * math.cos(w.middle), -w.run * math.sin(w.middle)
+        across_e, across_n, runs = math.cos(w.middle), -math.sin(w.middle), (w.run, w.run + w.backup_run)
         had = vehicle.has_velocity and not w.by_carriers
         decay, white = (0.0, 0.0) if w.by_carriers else (par.doppler.decay, par.doppler.white)
         t = trapezoid(par.dt, had, decay, white)
@@ -53,11 +53,11 @@ def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
             if is_idle(faults[k]):
                 continue
             largest = max(largest, advance_course(turn, faults[k].now, faults[k].course))
-            separate(t, across_e, across_n, vehicle, w, faults[k])
+            separate(t, across_e, across_n, runs, vehicle, w, faults[k])
         course = 1.0 if w.by_carriers else par.doppler.course
-        advance_spread(turn, course * largest, across_e, across_n, vehicle.spread, vehicle.growth)
-        for reckoning in range(2):
-            vehicle.growth[reckoning].apart_s = t.now if w.integrates else 0.0
+        advance_spread(turn, course * largest, across_e, across_n, runs, vehicle.spread, vehicle.growth)
+        vehicle.growth[LATEST].apart_s = t.now if w.integrates else 0.0
+        vehicle.growth[BACKUP].apart_s = t.now if w.integrates and not w.by_carriers else 0.0
         vehicle.separated = vehicle.separated or w.integrates or w.run != 0.0
 
 
@@ -70,21 +70,26 @@ def is_idle(fault: Any) -> bool:
 
 
 @jit(borrows=True)
-def separate(t: Any, across_e: float, across_n: float, vehicle: Any, w: Any, fault: Any) -> None:
-    """Advance the separations of one fault mode; ``t`` integrates velocities, ``across`` is the run along the heading.
+def separate(
+    t: Any, across_e: float, across_n: float, runs: tuple[float, float], vehicle: Any, w: Any, fault: Any
+) -> None:  # fmt: skip
+    """Advance the separations of one fault mode; ``t`` integrates velocities.
 
     Doppler's separations grow where its velocity moved the position; the others fade. Those of the heading grow where
-    the position moved along it.
+    the position moved along it: ``runs`` of LATEST and BACKUP [m], ``across`` the direction to the right of them.
     """
     if w.integrates:
         advance_separation(t, vehicle.growth[LATEST].apart_s, fault.last, fault.now, fault.latest)
-        advance_separation(t, vehicle.growth[BACKUP].apart_s, fault.last, fault.now, fault.backup)
     else:
         fade_separation(t.phi, fault.latest)
+    if w.integrates and not w.by_carriers:
+        advance_separation(t, vehicle.growth[BACKUP].apart_s, fault.last, fault.now, fault.backup)
+    else:
         fade_separation(t.phi, fault.backup)
-    if w.run != 0.0:
-        move_by_course(across_e, across_n, fault.course, fault.latest)
-        move_by_course(across_e, across_n, fault.course, fault.backup)
+    if runs[LATEST] != 0.0:
+        move_by_course(runs[LATEST] * across_e, runs[LATEST] * across_n, fault.course, fault.latest)
+    if runs[BACKUP] != 0.0:
+        move_by_course(runs[BACKUP] * across_e, runs[BACKUP] * across_n, fault.course, fault.backup)
     if w.doppler_moves:
         fault.last = fault.now
     else:
@@ -127,7 +132,9 @@ def _judge(v: int, epoch: Epoch, of_backup: Array) -> None:
     if not w.fixed.usable:  # not confirmed, or of poor geometry: dead reckoning goes on with its own level
         return
     found, faults = epoch.fixed_levels[v], epoch.faults[v]
-    if w.fixed.lasting:  # RTK has set the position since its first fix: if that was wrong, so is the position
+    # RTK has set the position since its first fix, or carriers of the same signals have moved it: if that was wrong, so
+    # is the position.
+    if w.fixed.lasting or par.doppler.carriers:
         _use_backup(vehicle, epoch.starts[v], faults, epoch.tables, par, w, found, levels, of_backup)
     verdict = judge_position(vehicle, par, w, levels, found)
     w.accepted = verdict == ACCEPTED

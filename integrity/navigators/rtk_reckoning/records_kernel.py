@@ -282,6 +282,7 @@ WORK = record(
     before_e="position before it moves, East [m]",
     before_n="the same, North [m]",
     run="distance that the position moved along the heading in this epoch, else 0 [m]",
+    backup_run="the same of the backup solution, where carriers moved the position [m]",
     mode=("i8", "code of the positioning mode, UNDECIDED before one is found"),
     integrates=("?", "the position moved by the Doppler velocity"),
     accepted=("?", "the RTK position is accepted"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lanebound.agents.drivers.clock import AGES_S
-from lanebound.agents.studies.decisions import DRIVERS, SECTIONS, DecisionsConfig, assess_decisions, tables
+from lanebound.agents.studies.decisions import DRIVERS, SECTIONS, DecisionsConfig, _decided, assess_decisions, tables
 from lanebound.integrity.core.errors import ConfigError, InputError
 
 AWAY: dict[str, Any] = {
@@ -86,6 +86,27 @@ def test_harm_counts_an_end_once_and_the_area_beyond_the_lane(tmp_path: Path) ->
     beyond = np.array(found["harm"]) - 50.0 * ended
     assert ended.any()
     assert (beyond > 0.0).all()
+
+
+def test_comparisons_without_any_difference_count_in_the_family() -> None:
+    """A difference with p = 2^-7 is clear among three comparisons, and not among the 15 that were planned."""
+    faster = {
+        "harm": [0.0] * 8,
+        "true_cost": [0.0] * 8,
+        "throughput_mps": [12.0, 12.2, 11.8, 12.1, 11.9, 12.0, 12.3, 11.7],
+    }
+    slower = faster | {"throughput_mps": [speed - 2.0 for speed in faster["throughput_mps"]]}
+    rest = {"available": [1.0] * 8}
+    config = {"drivers": ["clock_scaled", "level_scaled"]}
+
+    def verdicts(alike: int) -> list[str]:
+        drivers = [{"clock_scaled": slower | rest, "level_scaled": faster | rest}]
+        drivers += alike * [{"clock_scaled": slower | rest, "level_scaled": slower | rest}]
+        places = {str(i): {"env": "one", "navigator": "one", "drivers": part} for i, part in enumerate(drivers)}
+        return [row[-1] for row in _decided({"config": config, "places": places})[1]]
+
+    assert verdicts(0) == ["20 % faster"]
+    assert verdicts(4) == ["-"] * 5
 
 
 def test_what_does_not_exist_is_refused_before_the_work(tmp_path: Path) -> None:

@@ -99,7 +99,7 @@ def test_the_covariance_is_that_of_simulated_separations_and_of_what_they_move()
         across = (1.1, -0.4) if drives else (0.0, 0.0)
         largest = _advance(turn, APART_SIGMA * rng.normal(size=runs), MONITORED, faults)
         assert largest == (APART_SIGMA**2 if k % 3 else 0.0)
-        hs.advance_spread(turn, largest, *across, spread, g)
+        hs.advance_spread(turn, largest, *across, (1.0, 1.0), spread, g)
         moved += np.outer(courses["mean"], across)
     low, high = chi2.ppf([5e-4 / 5, 1.0 - 5e-4 / 5], df=runs)
     for values, variance in (

@@ -44,3 +44,15 @@ def test_the_heading_at_the_end_of_a_turn_is_not_that_of_its_middle() -> None:
     found = without_rtk(True)
     turn = (found.time_s > 40.0) & (found.time_s < 43.0)
     assert np.abs(np.median(found.heading_error_rad[turn])) < 0.3 * 0.5 * 0.3 * 0.1  # of half an epoch's turn
+
+
+def test_levels_without_satellites_are_as_wide_as_by_range_rates() -> None:
+    """The heading is calibrated no better by carriers: no level has a hypothesis of a gyro that fails there."""
+    rates, median = np.zeros(320), []
+    for carriers in (False, True):
+        config = NavigatorConfig.load({"positioning": {"doppler": {"carriers": carriers}}})
+        found = drive(config, rates, 25.0, VEHICLES, from_s=31.0)
+        assert (found.mode == Mode.IMU_ODOMETER).all()
+        assert (found.error_m <= found.levels_m[:, :, 0]).all()
+        median.append(np.median(found.levels_m[-1, :, 0], 0))
+    assert median[1] == pytest.approx(median[0], rel=0.1)

@@ -128,6 +128,8 @@ def test_the_preset_of_reflections_adds_hypotheses_and_nothing_else() -> None:
     assert NavigatorConfig.preset("navigators/reflections") == doubtful != NavigatorConfig()
 
 
-def test_the_preset_of_carriers_changes_the_velocity_and_nothing_else() -> None:
-    by_carriers = NavigatorConfig().replace(positioning={"doppler": {"carriers": True}})
+def test_the_preset_of_carriers_changes_the_velocity_and_watches_drifts() -> None:
+    by_carriers = NavigatorConfig().replace(
+        positioning={"doppler": {"carriers": True}, "rtk": {"drift": {"window_s": 16.0}}}
+    )
     assert NavigatorConfig.preset("navigators/carriers") == by_carriers != NavigatorConfig()

@@ -564,6 +564,22 @@ def test_doppler_moves_by_the_mean_of_two_velocities_and_leaves_others_alone() -
     np.testing.assert_allclose(vehicle["growth"]["p_ee"][1:], [[(DT * 0.1) ** 2] * 2, [0.0] * 2])  # white noise
 
 
+def test_carriers_move_the_position_and_gyro_and_odometer_the_backup_solution() -> None:
+    """Carriers drift with RTK: a backup solution that they move would never contradict it."""
+    epoch = blank(1)
+    vehicle, w = epoch.vehicles, epoch.work
+    vehicle["initialised"], w["doppler_moves"], w["by_carriers"] = True, True, True
+    w["mean_e"], w["mean_n"], w["middle"], epoch.observed["speed"] = 3.0, 4.0, 0.3, 10.0
+    w["q"], w["step"]["dt_s"] = 0.01 * np.eye(3), DT
+    advance_doppler(0, 1, epoch)
+    np.testing.assert_allclose(vehicle["position"][:, :2], [[3.0 * DT, 4.0 * DT]])
+    np.testing.assert_allclose(vehicle["backup"]["position"], 10.0 * DT * np.array([[np.sin(0.3), np.cos(0.3)]]))
+    assert (w["run"], w["backup_run"]) == ([0.0], [10.0 * DT])
+    latest, backup = vehicle["growth"][0]
+    assert latest["p_ee"] == pytest.approx((DT * 0.1) ** 2)
+    assert (latest["run_n"], backup["run_n"]) == (0.0, pytest.approx(10.0 * DT * np.cos(0.3)))
+
+
 def test_imu_and_odometer_move_along_the_middle_course() -> None:
     epoch = blank(2)
     vehicle, w = epoch.vehicles, epoch.work
