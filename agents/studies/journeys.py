@@ -20,7 +20,6 @@ from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.route_drives import (
     PACKAGES,
-    Leg,
     RouteDrivesConfig,
     drive_legs,
     navigator_config,
@@ -31,6 +30,7 @@ from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.streams import named_generator
+from lanebound.integrity.motion.routes import Leg
 from lanebound.integrity.sky.availability import packaged_model
 from lanebound.integrity.sky.journeys.planner import MOST_UNUSABLE, WEIGHT, Planner, Route, StreetsAhead, place_on
 from lanebound.integrity.sky.journeys.streets import EdgeStations, SkyAlong
