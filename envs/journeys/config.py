@@ -56,7 +56,7 @@ class JourneyConfig(Config):
     )
     reward: JourneyReward = Field(JourneyReward(), description="weights of the terms of the reward")
     cost_limit: float = Field(
-        40.0, ge=0, description="limit of the cost of a journey, seconds without a usable position"
+        47.0, ge=0, description="limit of the cost of a journey, seconds without a usable position"
     )
     duration_s: float = Field(600.0, gt=0, le=3600, description="after which a journey is truncated [s]")
 

@@ -272,6 +272,10 @@ class Journeys:
             self._preview(departing, oracle, out)
         return out
 
+    def oracle_observation(self) -> NDArray[np.float32]:
+        """The observations with a forecast by the true city in place of the map, for drivers to compare with."""
+        return self.observe(oracle=True)
+
     def _observe(self, at: TownHour, rows: Ints, seen: Forecast, out: NDArray[np.float32]) -> None:
         town = at.town
         observe_rows(

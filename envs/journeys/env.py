@@ -71,7 +71,7 @@ class Journey(gymnasium.Env[NDArray[np.float32], Any]):
     [min]. `info["rewards"]` holds the terms unweighted. Energy is rolling resistance and drag of a car of 1.5 t.
 
     ## Costs
-    `info["cost"]`: the time of the step without a usable position, or with an alert [s]. `cost_limit` is 45, the 0.7
+    `info["cost"]`: the time of the step without a usable position, or with an alert [s]. `cost_limit` is 47, the 0.7
     quantile of `integrity_aware` over 400 training seeds, rounded up.
 
     ## Starting State
@@ -140,7 +140,7 @@ class Journey(gymnasium.Env[NDArray[np.float32], Any]):
 
     def oracle_observation(self) -> NDArray[np.float32]:
         """The observation with a forecast by the true city in place of the map, for a driver to compare with."""
-        return np.asarray(self.journeys.observe(oracle=True)[0])
+        return np.asarray(self.journeys.oracle_observation()[0])
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture of streets by predicted probability of a usable position and of the way so far; (600, 600, 3)."""
@@ -249,7 +249,7 @@ class VectorJourney(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
 
     def oracle_observation(self) -> NDArray[np.float32]:
         """As of a single environment, (N, n)."""
-        return self.journeys.observe(oracle=True)
+        return self.journeys.oracle_observation()
 
 
 def journey_config(config: Mapping[str, Any] | None) -> JourneyConfig:
@@ -275,7 +275,7 @@ def _city_in(options: Mapping[str, Any] | None, config: JourneyConfig) -> int | 
         raise InputError(f"options must be city alone, got {list(options or ())}: set all else by config and seed")
     if city is not None and not (isinstance(city, int | np.integer) and 0 <= city < config.cities.number):
         raise InputError(f"options.city must be a number in [0, {config.cities.number - 1}], got {city!r}")
-    return city
+    return None if city is None else int(city)
 
 
 def rewards_of(config: JourneyConfig, found: Outcome) -> NDArray[np.float64]:

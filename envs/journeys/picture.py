@@ -20,6 +20,7 @@ def picture_of(journeys: Journeys, row: int) -> NDArray[np.uint8]:
     at, own = journeys.at(row), journeys.state[row]
     town, ahead = at.town, at.mapped.ahead
     figure = new_figure(6.0, 6.0)
+    figure.set_layout_engine("none")
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     time_s = town.edges["length_m"] / town.edges["limit_mps"]
     lines: Any = LineCollection([edge.points_en_m for edge in town.graph.edges], cmap="viridis", linewidths=2.5)
