@@ -32,6 +32,8 @@ def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvC
         An unknown key or a value out of range, with its path.
     """
     presets = every_id()
+    if env_id == JOURNEY_ID:
+        raise InputError(f"env_id must be a driving world, got {env_id!r}: its configuration is JourneyConfig")
     if env_id not in presets:
         raise InputError(f"env_id must be one of {', '.join(presets)}, got {env_id!r}: {nearest(env_id, presets)}")
     return EnvConfig.build(presets[env_id], overrides)

@@ -275,7 +275,7 @@ def cities(
 def journeys(
     out: Annotated[Path, typer.Option(help="Folder for results.json and ppo.zip; a run is resumed there.")],
     cities: Annotated[int | None, typer.Option(min=1, max=100, help="Test cities; the study has 20.")] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="Decisions to learn from; the study has a million.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Decisions to learn from; the study has 400,000.")] = None,
     jobs: Jobs = 1,
     assignments: Assignments = None,
     as_json: AsJson = False,

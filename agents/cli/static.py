@@ -203,6 +203,9 @@ def _require_env(name: str) -> None:
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.core.presets import nearest
 
+    from lanebound.agents.presets import refuse_journey
+
+    refuse_journey(name)
     table = static_table()
     ids = [name.partition("/")[2] for name in (*(row["id"] for row in table["environments"]), *table["more"])]
     short = name.removeprefix("lanebound/")

@@ -46,8 +46,8 @@ class JourneyDriversConfig(Config):
     journeys: int = Field(10, ge=2, le=1000, description="in each city")
     draws: int = Field(64, ge=2, le=4096, description="of the sky, for each journey on the fast engine")
     seed: int = Field(401, ge=0, description="of journeys, skies and the learner")
-    steps: int = Field(1_000_000, ge=1, description="decisions from which MaskablePPO learns")
-    train_cities: int = Field(16, ge=1, le=64, description="training cities of the learner, the first ones")
+    steps: int = Field(400_000, ge=1, description="decisions from which MaskablePPO learns")
+    train_cities: int = Field(8, ge=1, le=64, description="training cities of the learner, the first ones")
 
 
 def assess_journeys(

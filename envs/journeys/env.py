@@ -36,7 +36,7 @@ class Journey(gymnasium.Env[NDArray[np.float32], Any]):
 
     ## Action Space
     `Discrete(4)`: the next street, numbered from the sharpest left to the sharpest right; at the place of departure
-    from the North, clockwise from the South. Turn restrictions hold, and nobody turns back. Where only one street goes
+    clockwise from the South. Turn restrictions hold, and nobody turns back. Where only one street goes
     on, the journey does so without an action. `action_masks()` and `info["action_mask"]` say which actions lead into a
     street. Another action takes the street whose number is nearest (the lower one of two), and
     `info["invalid_action"]` is true.
@@ -82,8 +82,6 @@ class Journey(gymnasium.Env[NDArray[np.float32], Any]):
     Terminated on arrival, which a success requires. Truncated at the first junction after 600 s.
 
     ## Arguments
-    `config` has the keys of [journeys](journeys.md#environment).
-
     `realised: fast` draws RTK, usable positions and levels at stations 10 m apart from laws that are fitted on drives
     of the navigator; `full` drives the navigator itself, a journey in about a second. In `full` the next street is
     asked for where the car would brake for the end of the last one, so that what is met there is not seen yet.

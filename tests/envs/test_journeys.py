@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 import gymnasium
@@ -75,9 +76,7 @@ def driven(journeys: Journeys, name: str) -> Any:
 def test_drivers_take_the_way_that_is_known_to_be_best(name: str, length_m: float) -> None:
     state = driven(from_west_to_east(3), name)
     assert state["arrived"].all()
-    if (
-        name == "chance_constrained"
-    ):  # where more than its share is lost by chance, it may take the other side of a block
+    if name == "chance_constrained":  # it may go on by the other side of a block
         assert (state["length_m"] > OPEN_M + 298.0).all()
     else:
         np.testing.assert_allclose(state["length_m"], length_m + 300.0, atol=2.0)  # with half a block at both ends
@@ -117,7 +116,7 @@ def cost_of(at: TownHour, way: Sequence[int], g: int) -> tuple[float, float, flo
     """Time, expected time without a position and length after the first edge, left with a class of gaps."""
     edges, ahead = at.town.edges, at.mapped.ahead
     time = lost = length = 0.0
-    for a, b in zip(way, way[1:], strict=False):
+    for a, b in pairwise(way):
         turn = float(edges["turn_s"][a][list(edges["options"][a]).index(b)])
         time += turn + edges["length_m"][b] / edges["limit_mps"][b]
         lost += turn * ahead["risk"][b, g] + ahead["lost_s"][b, g]

@@ -1,4 +1,4 @@
-"""A city whose answer is known: a short way below a wide roof, and a longer one under the open sky, between two blocks."""
+"""A city whose answer is known: a short way below a roof, and a longer one under the open sky, between two blocks."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def law() -> RealisedLaw:
 
 def test_a_fit_finds_the_probabilities_of_a_known_chain(law: RealisedLaw) -> None:
     found = law.at(np.array([10.0, 20.0]), np.array([2.0, 3.0]))
-    # an estimate of a cell lies within four standard errors of a share of 1000 samples: fails once in 1000 cells or less
+    # within four standard errors of a share of 1000 samples, fewer than there are: fails by chance once in 1000 runs
     most = 4.0 * np.sqrt(0.25 / 1000.0)
     np.testing.assert_allclose(found.rtk_after[:, 0], COMES, atol=most)
     np.testing.assert_allclose(found.rtk_after[:, 1], KEEPS, atol=most)
