@@ -200,10 +200,9 @@ def refuse_preset(what: str, folder: str, name: str, called: str | None = None) 
 
 
 def _require_env(name: str) -> None:
+    from lanebound.agents.presets import refuse_journey
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.core.presets import nearest
-
-    from lanebound.agents.presets import refuse_journey
 
     refuse_journey(name)
     table = static_table()

@@ -20,12 +20,12 @@ from lanebound.integrity.sky.journeys.planner import MOST_UNUSABLE, WEIGHT
 
 __all__ = [
     "JOURNEY_DRIVERS",
-    "ChanceConstrained",
-    "Fastest",
-    "IntegrityAware",
+    "ChanceConstrainedWay",
+    "FastestWay",
+    "IntegrityAwareWay",
     "JourneyDriver",
-    "Oracle",
-    "Shortest",
+    "OracleWay",
+    "ShortestWay",
 ]
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ class JourneyDriver(StatelessDriver):
         """The cost of each street (B, K) with the rest of the route, from entries of a journey (B,) and its streets."""
 
 
-class Shortest(JourneyDriver):
+class ShortestWay(JourneyDriver):
     """Least length."""
 
     def cost(self, here: dict[str, Array], street: dict[str, Array]) -> Array:
@@ -83,7 +83,7 @@ class Shortest(JourneyDriver):
         return street["length"] + street["short_length"]
 
 
-class Fastest(JourneyDriver):
+class FastestWay(JourneyDriver):
     """Least time."""
 
     def cost(self, here: dict[str, Array], street: dict[str, Array]) -> Array:
@@ -91,7 +91,7 @@ class Fastest(JourneyDriver):
         return street["time"] + street["fast_time"]
 
 
-class IntegrityAware(JourneyDriver):
+class IntegrityAwareWay(JourneyDriver):
     """Least sum of time and 3 times the expected time without a usable position."""
 
     def cost(self, here: dict[str, Array], street: dict[str, Array]) -> Array:
@@ -99,7 +99,7 @@ class IntegrityAware(JourneyDriver):
         return street["time"] + street["aware_time"] + WEIGHT * (street["unusable"] + street["aware_unusable"])
 
 
-class ChanceConstrained(JourneyDriver):
+class ChanceConstrainedWay(JourneyDriver):
     """Least time, with an expected share of the whole journey of at most 0.25 without a usable position.
 
     After each street the fastest and the integrity-aware route are candidates. If none keeps the share, the street is
@@ -122,7 +122,7 @@ class ChanceConstrained(JourneyDriver):
         return np.minimum(np.minimum(*keeps), BEYOND + time + WEIGHT * lost)
 
 
-class Oracle(IntegrityAware):
+class OracleWay(IntegrityAwareWay):
     """Integrity-aware by the true city, trees and heights as they are; it does not know the draws of the navigator.
 
     Parameters
@@ -141,10 +141,10 @@ class Oracle(IntegrityAware):
 
 
 JOURNEY_DRIVERS: dict[str, Callable[[Any, JourneyConfig], JourneyDriver]] = {
-    "shortest": lambda env, config: Shortest(config),
-    "fastest": lambda env, config: Fastest(config),
-    "integrity_aware": lambda env, config: IntegrityAware(config),
-    "chance_constrained": lambda env, config: ChanceConstrained(config),
-    "oracle": Oracle,
+    "shortest": lambda env, config: ShortestWay(config),
+    "fastest": lambda env, config: FastestWay(config),
+    "integrity_aware": lambda env, config: IntegrityAwareWay(config),
+    "chance_constrained": lambda env, config: ChanceConstrainedWay(config),
+    "oracle": OracleWay,
 }
 """The drivers by name, made for an environment."""

@@ -43,9 +43,8 @@ def only_option(options):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def drive_rows(  # type: ignore[no-untyped-def]
-    rows, actions, paces, journeys, states, drawn, table, origins, goals, edges, stations, ahead, gaps_s,
-    bridged, gap_edges_s, run_edges, level_edges, levels, correlation, car,
-):  # fmt: skip
+    rows, actions, paces, journeys, states, drawn, table, origins, goals, edges, stations, ahead, gaps_s, law, car
+):
     """Drive journeys into the streets of their actions, and on to the next junction with a choice, or to the end.
 
     Parameters
@@ -56,11 +55,9 @@ def drive_rows(  # type: ignore[no-untyped-def]
     table : of the ziggurat
     origins, goals : (P, K), (P, 2) edges that leave a place, and that end there; -1: none
     edges, stations, ahead, gaps_s : (E,) EDGE, (N,) STATION, (E, G) AHEAD of the map, (G,) classes
-    bridged, gap_edges_s : (2, R, S, C) probability of a usable position without RTK; (C - 1,) between classes of gaps
-    run_edges : (R - 1,) between classes of runs
-    level_edges, levels, correlation : of the law of levels
-    car : (4,) rolling force [N], drag [N/(m/s)^2], acceleration, braking [m/s2]
+    law, car : (1,) LAW, CAR
     """
+    own, moves = law[0], car[0]
     for i in range(rows.shape[0]):
         b = rows[i]
         journey, g = journeys[b], states[b]
@@ -74,31 +71,31 @@ def drive_rows(  # type: ignore[no-untyped-def]
             journey.predicted_s += into.lost_s + turn_s * into.risk
             speed = e.limit_mps * paces[b]
             if journey.edge < 0:  # it has stood: RTK is as likely as the chain has it in the long run
-                turn_s += 0.5 * speed / car[2]
-                long = run_edges.shape[0]
+                turn_s += 0.5 * speed / moves.acceleration_mps2
+                long = own.run_edges.shape[0]
                 free, held = stations[e.first].rtk_after[0, long], stations[e.first].rtk_after[1, long]
                 journey.rtk = 1 if uniform(g) * (1.0 + free - held) < free else 0
                 journey.usable = 1
-                journey.rtk_run = journey.usable_run = run_edges[long - 1] + 1
+                journey.rtk_run = journey.usable_run = own.run_edges[long - 1] + 1
             for s in range(e.first, e.last):
                 station = stations[s]
                 stay_s = station.part_m / speed
                 if s == e.first:
                     stay_s += turn_s
                 if ends and s == e.last - 1:
-                    stay_s += 0.5 * speed / car[3]
+                    stay_s += 0.5 * speed / moves.braking_mps2
                 journey.gap_s += 0.5 * stay_s
-                run = np.searchsorted(run_edges, journey.rtk_run)
+                run = np.searchsorted(own.run_edges, journey.rtk_run)
                 now = 1 if uniform(g) < station.rtk_after[journey.rtk, run] else 0
                 journey.rtk_run = journey.rtk_run + 1 if now == journey.rtk else 1
                 journey.rtk = now
-                run = np.searchsorted(run_edges, journey.usable_run)
+                run = np.searchsorted(own.run_edges, journey.usable_run)
                 if now == 1:
                     journey.gap_s = 0.0
                     chance = station.usable_after[journey.usable, run]
                 else:
-                    gap = np.searchsorted(gap_edges_s, journey.gap_s)
-                    chance = bridged[journey.usable, run, station.satellites, gap]
+                    gap = np.searchsorted(own.gap_edges_s, journey.gap_s)
+                    chance = own.bridged[journey.usable, run, station.satellites, gap]
                 now = 1 if uniform(g) < chance else 0
                 journey.usable_run = journey.usable_run + 1 if now == journey.usable else 1
                 journey.usable = now
@@ -108,34 +105,22 @@ def drive_rows(  # type: ignore[no-untyped-def]
                 journey.gap_s += 0.5 * stay_s
             passed += e.last - e.first
             journey.length_m += e.length_m
-            journey.energy_kwh += e.length_m * (car[0] + car[1] * speed**2)
+            journey.energy_kwh += e.length_m * (moves.rolling + moves.drag * speed**2)
             journey.edge = edge
             if ends:
                 journey.arrived = 1
             k = -1 if ends else only_option(e.options)
-        meet_level(
-            journey,
-            g,
-            drawn,
-            table,
-            passed,
-            stations[edges[journey.edge].last - 1].satellites,
-            level_edges,
-            levels,
-            correlation,
-        )
+        meet_level(journey, g, drawn, table, passed, stations[edges[journey.edge].last - 1].satellites, own)
 
 
 @jit(borrows=True)
-def meet_level(  # type: ignore[no-untyped-def]
-    journey, g, drawn, table, passed, satellites, level_edges, levels, correlation
-):
+def meet_level(journey, g, drawn, table, passed, satellites, law):  # type: ignore[no-untyped-def]
     """Draw the level where a journey is, ``passed`` stations after the last one that was drawn."""
     fill(g, table, drawn)
-    kept = correlation**passed
+    kept = law.correlation**passed
     journey.score = kept * journey.score + math.sqrt(1.0 - kept * kept) * drawn[0]
     share = 0.5 * math.erfc(-ROOT_HALF * journey.score)
     by = float(satellites) if journey.rtk == 1 else journey.gap_s
-    cell = np.searchsorted(level_edges[journey.rtk], by)
-    n = levels.shape[3]
-    journey.level_m = levels[journey.rtk, journey.usable, cell, min(int(share * n), n - 1)]
+    cell = np.searchsorted(law.level_edges[journey.rtk], by)
+    n = law.levels.shape[3]
+    journey.level_m = law.levels[journey.rtk, journey.usable, cell, min(int(share * n), n - 1)]

@@ -13,10 +13,10 @@ from lanebound.envs.journeys.config import Departure, JourneyConfig, Realised
 from lanebound.envs.journeys.course_kernel import class_of, drive_rows, only_option
 from lanebound.envs.journeys.full import FullDrive
 from lanebound.envs.journeys.plan_kernel import HERE, STREET, observe_rows, preview_rows
-from lanebound.envs.journeys.records import JOURNEY, MOST_STREETS
-from lanebound.envs.journeys.town import Forecast, TownHour, city_hours
+from lanebound.envs.journeys.records import CAR, JOURNEY, LAW, MOST_STREETS
+from lanebound.envs.journeys.town import StreetForecast, TownHour, city_hours
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT, named_generator, named_states
 from lanebound.integrity.sky.journeys.planner import (
     AIR_KGPM3,
@@ -32,7 +32,7 @@ from lanebound.integrity.sky.journeys.planner import (
 from lanebound.integrity.sky.journeys.realised import GAP_EDGES_S, RUN_EDGES, packaged_law
 from lanebound.integrity.sky.journeys.streets import ACCELERATION_MPS2, BRAKING_MPS2
 
-__all__ = ["ENTRIES", "HOUR_ENTRIES", "SCALES", "STREET_ENTRIES", "Journeys", "Outcome", "columns"]
+__all__ = ["ENTRIES", "HOUR_ENTRIES", "SCALES", "STREET_ENTRIES", "JourneyStep", "Journeys", "columns"]
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -52,10 +52,11 @@ STREET_ENTRIES = (
 )  # fmt: skip
 HOUR_ENTRIES = "time", "unusable"
 COUNTED = "time_s", "energy_kwh", "unusable_s"
-CAR = np.array([
-    MASS_KG * GRAVITY * ROLLING / (DRIVELINE * JOULES), 0.5 * AIR_KGPM3 * DRAG_M2 / (DRIVELINE * JOULES),
-    ACCELERATION_MPS2, BRAKING_MPS2,
-])  # fmt: skip
+MOVES = one_record(
+    CAR, rolling=MASS_KG * GRAVITY * ROLLING / (DRIVELINE * JOULES),
+    drag=0.5 * AIR_KGPM3 * DRAG_M2 / (DRIVELINE * JOULES), acceleration_mps2=ACCELERATION_MPS2,
+    braking_mps2=BRAKING_MPS2,
+)  # fmt: skip
 
 
 def columns(config: JourneyConfig) -> tuple[str, ...]:
@@ -66,7 +67,7 @@ def columns(config: JourneyConfig) -> tuple[str, ...]:
     return tuple(names)
 
 
-class Outcome(NamedTuple):
+class JourneyStep(NamedTuple):
     """What a step of N journeys brings: time [s], energy [kWh], time without a position [s]; what ended; mistakes."""
 
     time_s: Array
@@ -109,7 +110,10 @@ class Journeys:
         self.traced, self.ways = traced, [list[int]() for _ in range(count)]
         self._running = np.zeros(count, dtype=np.bool_)
         law = packaged_law()
-        self._law = law.bridged_table(), GAP_EDGES_S, RUN_EDGES, law.level_edges, law.levels, law.correlation
+        self._law = one_record(
+            LAW, bridged=law.bridged_table(), gap_edges_s=GAP_EDGES_S, run_edges=RUN_EDGES,
+            level_edges=law.level_edges, levels=law.levels, correlation=law.correlation,
+        )  # fmt: skip
         self._gaps, self._scales = np.array(GAPS_S), np.array(list(SCALES.values()))
         self._drawn, self._rest = np.empty(1), np.empty(3)
 
@@ -190,7 +194,7 @@ class Journeys:
 
     # Steps
 
-    def step(self, actions: NDArray[Any], active: Flags) -> Outcome:
+    def step(self, actions: NDArray[Any], active: Flags) -> JourneyStep:
         """Carry out an action of each active journey: an hour of departure, or the street to the next junction.
 
         Raises
@@ -218,7 +222,7 @@ class Journeys:
         late = active & ~arrived & (self.state["time_s"] > self.config.duration_s)
         self._running &= ~(arrived | late)
         time_s, energy, unusable = (np.where(active, self.state[name] - before[name], 0.0) for name in COUNTED)
-        return Outcome(time_s, energy, unusable, arrived, late, invalid & active)
+        return JourneyStep(time_s, energy, unusable, arrived, late, invalid & active)
 
     def _drive(self, rows: Ints, choice: Ints, paces: Array) -> None:
         for at, own in self._groups(rows):
@@ -233,7 +237,7 @@ class Journeys:
             town = at.town
             drive_rows(
                 own, choice, paces, self.state, self._sky, self._drawn, ZIGGURAT, town.origins, town.goals, town.edges,
-                at.stations, at.mapped.ahead, self._gaps, *self._law, CAR,
+                at.stations, at.mapped.ahead, self._gaps, self._law, MOVES,
             )  # fmt: skip
 
     def _streets(self, b: int, at: TownHour, choice: int) -> list[int]:
@@ -253,7 +257,8 @@ class Journeys:
             street = town.edges[k]
             own["predicted_s"] += at.mapped.ahead["lost_s"][k, class_of(float(own["gap_s"][0]), self._gaps)]
             own["length_m"] += street["length_m"]
-            own["energy_kwh"] += street["length_m"] * (CAR[0] + CAR[1] * (pace * street["limit_mps"]) ** 2)
+            speed = pace * street["limit_mps"]
+            own["energy_kwh"] += street["length_m"] * (MOVES["rolling"] + MOVES["drag"] * speed**2)
         own["edge"], own["arrived"] = chosen[-1], chosen[-1] in town.goals[own["goal"][0]]
         drive = self._full[b]
         if drive is None:
@@ -276,11 +281,11 @@ class Journeys:
         """The observations with a forecast by the true city in place of the map, for drivers to compare with."""
         return self.observe(oracle=True)
 
-    def _observe(self, at: TownHour, rows: Ints, seen: Forecast, out: NDArray[np.float32]) -> None:
+    def _observe(self, at: TownHour, rows: Ints, seen: StreetForecast, out: NDArray[np.float32]) -> None:
         town = at.town
         observe_rows(
             rows, self.state, town.places, town.origins, town.goals, town.edges, seen.ahead, self._gaps, *seen[1:],
-            self._scales, at.hour, self._rest, out,
+            self._scales, at.hour, WEIGHT, self._rest, out,
         )  # fmt: skip
 
     def _preview(self, rows: Ints, oracle: bool, out: NDArray[np.float32]) -> None:

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from lanebound.envs.journeys.config import JourneyConfig
-from lanebound.envs.journeys.engine import Journeys, Outcome
+from lanebound.envs.journeys.engine import Journeys, JourneyStep
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import deep_merge
 
@@ -276,7 +276,7 @@ def _city_in(options: Mapping[str, Any] | None, config: JourneyConfig) -> int | 
     return None if city is None else int(city)
 
 
-def rewards_of(config: JourneyConfig, found: Outcome) -> NDArray[np.float64]:
+def rewards_of(config: JourneyConfig, found: JourneyStep) -> NDArray[np.float64]:
     """The weighted sums of the terms, (N,)."""
     weights, terms = config.reward, terms_of(found)
     return np.asarray(
@@ -284,17 +284,17 @@ def rewards_of(config: JourneyConfig, found: Outcome) -> NDArray[np.float64]:
     )
 
 
-def terms_of(found: Outcome) -> dict[str, NDArray[np.float64]]:
+def terms_of(found: JourneyStep) -> dict[str, NDArray[np.float64]]:
     """Terms of the reward, unweighted, (N,) each."""
     return {"time": -found.time_s / 60.0, "energy": -found.energy_kwh, "unusable": -found.unusable_s / 60.0}
 
 
-def infos_of(journeys: Journeys, found: Outcome | None) -> dict[str, Any]:
+def infos_of(journeys: Journeys, found: JourneyStep | None) -> dict[str, Any]:
     """What is said about N journeys beside their observations, arrays (N, ...); without an outcome after a reset."""
     state, zeros = journeys.state, np.zeros(journeys.count)
     if found is None:
         false = np.zeros(journeys.count, dtype=np.bool_)
-        found = Outcome(zeros, zeros, zeros, false, false, false)
+        found = JourneyStep(zeros, zeros, zeros, false, false, false)
     return {
         **{name: state[name].copy() for name in SHOWN},
         "predicted_unusable_s": state["predicted_s"].copy(),

@@ -9,7 +9,6 @@ import numpy as np
 from lanebound.envs.journeys.course_kernel import class_of
 from lanebound.envs.journeys.records import MOST_STREETS
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.sky.journeys.planner import WEIGHT
 
 __all__ = ["HERE", "STREET", "observe_rows", "plan_routes", "preview_rows"]
 
@@ -122,7 +121,7 @@ def bounded(value, scale):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def observe_rows(  # type: ignore[no-untyped-def]
-    rows, journeys, places, origins, goals, edges, ahead, gaps_s, aware, fast, short, scales, hour, rest, out
+    rows, journeys, places, origins, goals, edges, ahead, gaps_s, aware, fast, short, scales, hour, weight, rest, out
 ):
     """The observation of journeys in one city at one hour, in the order of ``HERE`` and, for each option, ``STREET``.
 
@@ -132,6 +131,7 @@ def observe_rows(  # type: ignore[no-untyped-def]
     aware, fast, short : (P, E, G), (P, E), (P, E) best options
     scales : (5,) of times, lengths, gaps [s], levels and speeds
     hour : of the day
+    weight : of time without a usable position
     rest, out : room (3,); (B, n) float32
     """
     time_, length_, gap_, level_, speed_ = scales[0], scales[1], scales[2], scales[3], scales[4]
@@ -178,20 +178,20 @@ def observe_rows(  # type: ignore[no-untyped-def]
                 rest_of(goals[place], edges, ahead, o, into.leaves, aware[place], fast[place], short[place], by, rest)
                 street[10 + 3 * by], street[11 + 3 * by] = bounded(rest[0], time_), bounded(rest[1], time_)
                 street[12 + 3 * by] = bounded(rest[2], length_)
-        excess(row, time_)
+        excess(row, time_, weight)
 
 
 @jit(borrows=True)
-def excess(row, time_s):  # type: ignore[no-untyped-def]
+def excess(row, time_s, weight):  # type: ignore[no-untyped-def]
     """By how many minutes each street with its rest exceeds the best one, by integrity and by time."""
     for by in range(2):
-        weight, least = WEIGHT * (1 - by), np.inf
+        factor, least = weight * (1 - by), np.inf
         for again in range(2):
             for k in range(MOST_STREETS):
                 street = row[HERE + STREET * k :]
                 if street[0] == 0.0:
                     continue
-                cost = time_s * (street[5] + street[10 + 3 * by] + weight * (street[6] + street[11]))
+                cost = time_s * (street[5] + street[10 + 3 * by] + factor * (street[6] + street[11]))
                 if again == 0:
                     least = min(least, cost)
                 else:

@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from lanebound.integrity.core.records import record
+from lanebound.integrity.sky.journeys.realised import (
+    GAP_EDGES_S,
+    LEVEL_CELLS,
+    LEVEL_SHARES,
+    MOST_SATELLITES,
+    RUN_EDGES,
+    RUNS,
+)
 
-__all__ = ["AHEAD", "EDGE", "JOURNEY", "MOST_STREETS", "STATION"]
+__all__ = ["AHEAD", "CAR", "EDGE", "JOURNEY", "LAW", "MOST_STREETS", "STATION"]
 
 MOST_STREETS = 4  # that leave a junction, less the one back; in generated cities at most 3 or 4
 
@@ -24,8 +32,8 @@ EDGE = record(
 
 STATION = record(
     part_m="length of its part of the street",
-    rtk_after=("f8", (2, 4), "probability of RTK, by RTK at the station before and class of its run"),
-    usable_after=("f8", (2, 4), "with RTK, that of a usable position, by the one before and class of its run"),
+    rtk_after=("f8", (2, RUNS), "probability of RTK, by RTK at the station before and class of its run"),
+    usable_after=("f8", (2, RUNS), "with RTK, that of a usable position, by the one before and class of its run"),
     satellites=("i8", "row of the table of usable positions without RTK"),
 )
 """A station in the true city at one hour (:class:`~lanebound.integrity.sky.journeys.realised.StationLaw`)."""
@@ -59,3 +67,21 @@ JOURNEY = record(
     predicted_s="that was predicted for the streets driven so far, each as it was entered",
 )
 """A journey."""
+
+LAW = record(
+    bridged=("f8", (2, RUNS, MOST_SATELLITES, GAP_EDGES_S.size + 1), "probability of a usable position without RTK"),
+    gap_edges_s=("f8", GAP_EDGES_S.shape, "between classes of gaps"),
+    run_edges=("i8", RUN_EDGES.shape, "between classes of runs"),
+    level_edges=("f8", (2, LEVEL_CELLS - 1), "between cells of levels"),
+    levels=("f8", (2, 2, LEVEL_CELLS, len(LEVEL_SHARES)), "quantiles of PL_CT"),
+    correlation="of normal scores of levels at neighbouring stations",
+)
+"""The laws of :class:`~lanebound.integrity.sky.journeys.realised.RealisedLaw` that hold in all cities."""
+
+CAR = record(
+    rolling="energy against rolling resistance [kWh/m]",
+    drag="energy against drag [kWh/m/(m/s)^2]",
+    acceleration_mps2="comfortable acceleration",
+    braking_mps2="comfortable braking",
+)
+"""A car."""

@@ -46,7 +46,7 @@ from lanebound.integrity.sky.survey import MapConfig, as_mapped
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import cells_of
 
-__all__ = ["Forecast", "JourneyTown", "Town", "TownHour", "city_hours", "generated_town", "navigator_at"]
+__all__ = ["JourneyTown", "StreetForecast", "Town", "TownHour", "city_hours", "generated_town", "navigator_at"]
 
 Array = NDArray[np.float64]
 Int8 = NDArray[np.int8]
@@ -84,7 +84,7 @@ def navigator_at(sky: str, base: NavigatorConfig, hour: float) -> NavigatorConfi
     return found.replace(sky=at_hour(found.sky, hour).to_dict())
 
 
-class Forecast(NamedTuple):
+class StreetForecast(NamedTuple):
     """What is predicted of all streets, and the best options towards each place by it.
 
     Attributes
@@ -182,7 +182,7 @@ class JourneyTown:
         write(place, key, shape=np.array(a.forecast.free.shape), **packed)
         return a, b
 
-    def forecast(self, seen: StreetPrediction) -> Forecast:
+    def forecast(self, seen: StreetPrediction) -> StreetForecast:
         """What these satellites at the stations let one predict."""
         ahead = StreetsAhead.of(self.graph, self.stations, packaged_model(), seen)
         lost, leaves = ahead.by_class
@@ -200,7 +200,7 @@ class JourneyTown:
         fast, short = np.empty(shape, np.int8), np.empty(shape, np.int8)
         room = np.arange(count), np.empty(count), np.empty(lost.shape)
         plan_routes(self.goals, self.edges, out, WEIGHT, *room, aware, fast, short)
-        return Forecast(out, aware, fast, short)
+        return StreetForecast(out, aware, fast, short)
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,11 +217,11 @@ class TownHour:
     town: JourneyTown
     hour: float
     stations: Records
-    mapped: Forecast
+    mapped: StreetForecast
     seen: StreetPrediction
 
     @cached_property
-    def oracle(self) -> Forecast:
+    def oracle(self) -> StreetForecast:
         """What the true city would let one predict; nothing of it is in an observation."""
         return self.town.forecast(self.seen)
 

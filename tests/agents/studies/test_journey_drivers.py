@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import binom
+from two_routes import two_routes
 
 from lanebound.agents.learning import journeys as learning
 from lanebound.agents.learning.journeys import JourneyVecEnv, LearntJourney, train_journeys
@@ -16,7 +17,6 @@ from lanebound.agents.studies import journey_drivers as study
 from lanebound.envs.journeys import engine
 from lanebound.envs.journeys.env import VectorJourney
 from lanebound.integrity.core.errors import InputError
-from two_routes import two_routes
 
 CONFIG: dict[str, Any] = {"cities": {"count": 1}, "hours": [3.0, 15.0], "reward": {"unusable": 3.0}}
 
