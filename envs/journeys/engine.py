@@ -137,7 +137,7 @@ class Journeys:
         for b in rows:
             rng = self._rngs[b]
             if rng is None:
-                raise InputError("journeys must be seeded first: call seed")
+                raise InputError("reset must come before everything else, got no episode: call reset() first")
             city, hour = int(rng.integers(c.cities.number)), int(rng.integers(len(c.hours)))
             share, self._seeds[b] = rng.random(), int(rng.integers(2**32))
             city = city if into is None else into

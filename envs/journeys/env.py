@@ -202,8 +202,10 @@ class VectorJourney(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
             options = dict(options)
             mask = np.asarray(options.pop("reset_mask"), dtype=np.bool_)
         city = _city_in(options, self.config)
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed or ())
+        one = int(seed) if isinstance(seed, int | np.integer) else None
+        super().reset(seed=one)
+        given: Any = range(one, one + self.num_envs) if one is not None else seed
+        seeds = [] if given is None else list(given)
         if seed is not None and len(seeds) != self.num_envs:
             raise InputError(f"seed must be an int or one for each of {self.num_envs} environments, got {len(seeds)}")
         rows = np.flatnonzero(mask).tolist()

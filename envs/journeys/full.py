@@ -67,7 +67,7 @@ class FullDrive:
         faults = FaultSchedule(random_campaign(FaultPriors.preset(FAULTS), most_s, rng, first))
         self._navigator = Navigator(base, track, mask, [seed], faults=faults)
         self._edges: list[int] = []
-        self._epoch = 0
+        self._epoch, self._warm = 0, False
 
     def drive(self, edges: list[int], pace: float, ends: bool, journey: Records) -> None:
         """Drive on along more edges at a share of the speed limit, and write what is met into a journey (1,).
@@ -87,27 +87,26 @@ class FullDrive:
         left = np.concatenate([np.cumsum(moved[::-1])[::-1], [0.0]])
         braking = np.maximum(0.5 * way.speed_mps**2 / drive.braking_mps2 + way.speed_mps * dt_s, LOOK_M)
         last = left.size - 1 if ends else max(int(np.argmax(left <= braking)), self._epoch)
-        if not self._epoch:
+        if not self._warm:
             for k in range(self._wait):
                 self._step(way, 0, 0, k)
+            self._warm = True
         for k in range(self._epoch, last):
             solution = self._step(way, k, k + 1, self._wait + k)
             self._meet(solution, journey[0])
         self._epoch = last
 
     def _step(self, way: RouteMotion, a: int, b: int, epoch: int) -> Any:
+        """Take the navigator from one epoch of the way to another."""
+
         def at(k: int) -> tuple[Array, Array, Array]:
             heading = way.heading_rad[k : k + 1]
             velocity = way.speed_mps[k] * np.stack([np.sin(heading), np.cos(heading)], -1)
             return way.place_en_m[k : k + 1], velocity, heading
 
-        before, after = at(a), at(b)
-        arc = STATION_M * way.row[b : b + 1].astype(np.float64)
-        pairs = zip(before, after, strict=True)
-        place, velocity, heading = pairs
-        truth = Truth.between(
-            self.dt_s * (epoch + 1), self.dt_s, place, velocity, heading, arc, np.zeros(1, dtype=np.int64)
-        )
+        place, velocity, heading = zip(at(a), at(b), strict=True)
+        arc, lane = STATION_M * way.row[b : b + 1].astype(np.float64), np.zeros(1, dtype=np.int64)
+        truth = Truth.between(self.dt_s * (epoch + 1), self.dt_s, place, velocity, heading, arc, lane)
         return self._navigator.step(truth)
 
     def _meet(self, solution: Any, journey: Any) -> None:

@@ -21,6 +21,7 @@ from lanebound.envs.journeys import engine
 from lanebound.envs.journeys.config import JourneyConfig
 from lanebound.envs.journeys.engine import Journeys, columns
 from lanebound.envs.journeys.env import Journey, VectorJourney
+from lanebound.envs.journeys.full import FullDrive
 from lanebound.envs.journeys.records import MOST_STREETS
 from lanebound.envs.journeys.town import TownHour
 from lanebound.envs.registration import JOURNEY_ID
@@ -261,6 +262,15 @@ def test_single_and_vector_environments_have_the_same_bits(mode: AutoresetMode, 
     assert ended > 5
 
 
+def test_gymnasium_makes_the_vector_environment() -> None:
+    envs = gymnasium.make_vec(JOURNEY_ID, 2, config=CONFIG)
+    assert isinstance(envs, VectorJourney)
+    observations, infos = envs.reset(seed=np.int64(3))
+    assert observations.shape == envs.observation_space.shape
+    assert infos["cost"].shape == infos["_cost"].shape == (2,)
+    envs.close()
+
+
 def test_rewards_and_costs_are_sums_of_what_is_met() -> None:
     env = Journey(CONFIG | {"reward": {"unusable": 3.0}})
     driver = JOURNEY_DRIVERS["integrity_aware"](env, env.config)
@@ -375,6 +385,8 @@ def test_input_that_is_wrong_is_refused() -> None:
         Journey(3)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="num_envs"):
         VectorJourney(0)
+    with pytest.raises(InputError, match="reset"):
+        VectorJourney(2, CONFIG).step(np.zeros(2, dtype=np.int64))
     envs = VectorJourney(2, CONFIG, AutoresetMode.DISABLED)
     with pytest.raises(InputError, match="seed"):
         envs.reset(seed=[1, 2, 3])
@@ -403,6 +415,23 @@ def test_the_navigator_drives_the_same_decisions() -> None:
     for own in found.values():
         planned = own["length_m"] / 10.0
         assert planned < own["time_s"] < planned + 25.0
+
+
+def test_the_car_does_not_jump_where_a_street_is_added(monkeypatch: pytest.MonkeyPatch) -> None:
+    places: list[Any] = []
+    step = FullDrive._step
+
+    def spied(self: FullDrive, way: Any, a: int, b: int, epoch: int) -> Any:
+        places.append((way.place_en_m[a], way.place_en_m[b], way.speed_mps[a], way.speed_mps[b]))
+        return step(self, way, a, b, epoch)
+
+    monkeypatch.setattr(FullDrive, "_step", spied)
+    state = driven(from_west_to_east(1, {"realised": "full"}), "integrity_aware")
+    before, after, v0, v1 = map(np.array, zip(*places, strict=True))
+    np.testing.assert_allclose(before[1:], after[:-1], atol=0.05)  # the way that is longer goes through the same places
+    np.testing.assert_allclose(v0[1:], v1[:-1], atol=0.1)
+    assert len(places) == 200 + round(float(state["time_s"][0]) / 0.1)
+    np.testing.assert_allclose(np.linalg.norm(after - before, axis=1), 0.05 * (v0 + v1), atol=0.05)
 
 
 def test_journeys_of_the_navigator_are_the_same_again() -> None:

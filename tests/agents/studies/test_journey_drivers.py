@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 from two_routes import two_routes
+from typer.testing import CliRunner
 
+from lanebound.agents.cli import app
+from lanebound.agents.episodes import full_id
 from lanebound.agents.learning import journeys as learning
 from lanebound.agents.learning.journeys import JourneyVecEnv, LearntJourney, train_journeys
 from lanebound.agents.studies import journey_drivers as study
 from lanebound.envs.journeys import engine
 from lanebound.envs.journeys.env import VectorJourney
+from lanebound.envs.registration import JOURNEY_ID, make_config
 from lanebound.integrity.core.errors import InputError
 
 CONFIG: dict[str, Any] = {"cities": {"count": 1}, "hours": [3.0, 15.0], "reward": {"unusable": 3.0}}
@@ -85,6 +89,16 @@ def test_equal_seeds_learn_equal_policies(tmp_path: Path) -> None:
         actions.append(LearntJourney(tmp_path / name, envs).predict(seen)[0])
         assert envs.action_masks()[np.arange(16), actions[-1]].all()
     np.testing.assert_array_equal(*actions)
+
+
+def test_commands_that_drive_cars_name_the_one_for_journeys() -> None:
+    for refused in (full_id, make_config):
+        with pytest.raises(InputError, match="driving world"):
+            refused(JOURNEY_ID)
+    for command in (["drive", "journey"], ["envs", "Journey"], ["play", JOURNEY_ID]):
+        result = CliRunner().invoke(app, command)
+        assert result.exit_code != 0
+        assert "assess journeys" in str(result.exception) + result.output
 
 
 def test_the_environment_of_stable_baselines_ends_and_begins_journeys() -> None:
