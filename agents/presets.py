@@ -1,4 +1,4 @@
-"""Configurations by the name of a packaged preset, or by the path of a YAML file."""
+"""Configurations by the name of a packaged preset, or by the path of a YAML file; the id that is no driving world."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from lanebound.integrity.core.config import Config, preset_names
-from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import FILES, load_file, load_preset, nearest
 
-__all__ = ["load_named", "require_named"]
+__all__ = ["load_named", "refuse_journey", "require_named"]
 
 C = TypeVar("C", bound=Config)
 
@@ -31,6 +31,21 @@ def require_named(what: str, folder: str, name: str, called: str | None = None) 
             f"{what} '{name}' is unknown: {nearest(short, known)} (or the path of a YAML file of your own)"
         )
     return short
+
+
+def refuse_journey(name: str) -> None:
+    """Refuse Journey where a command drives a car: it decides on streets, and has no lanes, sky level or agents.
+
+    Raises
+    ------
+    InputError
+        The name is that of ``lanebound/Journey-v0``.
+    """
+    if name.removeprefix("lanebound/").partition("-v")[0].lower() == "journey":
+        raise InputError(
+            f"environment must be a driving world, got {name!r}: make it by gymnasium.make('lanebound/Journey-v0'), "
+            "compare its drivers by 'lanebound assess journeys'"
+        )
 
 
 def load_named(

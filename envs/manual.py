@@ -17,10 +17,12 @@ from typing import Any
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.ids import CLASSES, MORE, PRICED, Preset, id_of
+from lanebound.envs.journeys.config import JourneyConfig
+from lanebound.envs.journeys.env import Journey
 from lanebound.envs.lane_sensor import LaneSensorConfig
 from lanebound.envs.observation import GROUPS, OBSERVATION_INDEX
 from lanebound.envs.observation.index import Entry
-from lanebound.envs.registration import make_config
+from lanebound.envs.registration import JOURNEY_ID, make_config
 from lanebound.integrity.core.config import describe
 from lanebound.integrity.sensors.fault_kinds import FaultKind
 from lanebound.integrity.sensors.fault_registry import fault_kinds
@@ -60,7 +62,8 @@ def markdown() -> str:
     parts = {
         "CONTENTS": _contents(),
         "ALL": _page(DrivingEnv),
-        "IDS": "\n\n".join(f"## {kind.__name__}\n\n{_short(kind)}" for kind in PAGED),
+        "IDS": "\n\n".join(f"## {kind.__name__}\n\n{_short(kind)}" for kind in (*PAGED, Journey)),
+        "JOURNEY_KEYS": _table(("key", "default", "meaning"), _journey_keys()),
         "PRICED": _table(PRICED_HEAD, map(_later, PRICED)),
         "FAULT_KINDS": _fault_table(),
         "LANE_SENSOR": _table(("key of `lane_sensor`", "default", "meaning"), keys),
@@ -78,15 +81,19 @@ SAME = re.compile(r"## [\w ]+\n(As above\.|\* v0: first version.*)(\n\n|$)")
 """A section of an id that says nothing of its own."""
 
 
-def _page(kind: type[DrivingEnv]) -> str:
+def _page(kind: type[Any]) -> str:
     """A class's docstring with its headings one level lower, less the sections that say nothing of their own."""
     return SAME.sub("", (inspect.getdoc(kind) or "").strip()).strip().replace("## ", "### ")
 
 
-def _short(kind: type[DrivingEnv]) -> str:
+def _short(kind: type[Any]) -> str:
     """The page of an id: a paragraph for each section, which its name begins."""
+
+    def filled(part: str) -> str:
+        return part if part[0] == "|" else fill(part, 120, break_long_words=False, break_on_hyphens=False)
+
     text = re.sub(r"### ([\w ]+)\n", r"**\1.** ", _page(kind)).removeprefix("**Description.** ")
-    return "\n\n".join(fill(part, 120, break_long_words=False, break_on_hyphens=False) for part in text.split("\n\n"))
+    return "\n\n".join(map(filled, text.split("\n\n")))
 
 
 def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
@@ -100,7 +107,17 @@ def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 def _contents() -> str:
     head = ("id", "world", "action", "sky", "cost limit")
-    return _table(head, (_line(kind, EnvConfig.build(kind.PRESET)) for kind in PAGED))
+    rows = [_line(kind, EnvConfig.build(kind.PRESET)) for kind in PAGED]
+    limit = f"{JourneyConfig().cost_limit:g}"
+    return _table(head, [*rows, [f"[{JOURNEY_ID}](#journey)", "streets of a city", "at junctions", "urban", limit]])
+
+
+def _journey_keys() -> list[list[str]]:
+    """Every key of journeys with its default."""
+    return [
+        [f"`{key}`", f"{_plain(value)} {unit if value is not None else ''}".strip(), _without_source(text)]
+        for key, value, unit, text in describe(JourneyConfig())
+    ]
 
 
 def _line(kind: type[Preset], c: EnvConfig) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import gymnasium
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from lanebound.envs.config import EnvConfig
@@ -14,9 +15,10 @@ from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["IDS", "base_of", "make_config", "register_all", "wrap", "wrap_vec"]
+__all__ = ["IDS", "JOURNEY_ID", "base_of", "make_config", "register_all", "wrap", "wrap_vec"]
 
 NEXT_STEP = AutoresetMode.NEXT_STEP
+JOURNEY_ID = "lanebound/Journey-v0"
 
 
 def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvConfig:
@@ -30,6 +32,8 @@ def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvC
         An unknown key or a value out of range, with its path.
     """
     presets = every_id()
+    if env_id == JOURNEY_ID:
+        raise InputError(f"env_id must be a driving world, got {env_id!r}: its configuration is JourneyConfig")
     if env_id not in presets:
         raise InputError(f"env_id must be one of {', '.join(presets)}, got {env_id!r}: {nearest(env_id, presets)}")
     return EnvConfig.build(presets[env_id], overrides)
@@ -85,3 +89,6 @@ def register_all() -> None:
     """Register every id with Gymnasium; doing so twice changes nothing."""
     for kind in (*CLASSES, *MORE):
         enter(kind)
+    if JOURNEY_ID not in gymnasium.registry:  # no driving world: it is not among the ids that sweeps drive
+        place = "lanebound.envs.journeys.env"
+        gymnasium.register(JOURNEY_ID, f"{place}:Journey", vector_entry_point=f"{place}:VectorJourney")

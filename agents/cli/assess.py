@@ -271,6 +271,26 @@ def cities(
     show_study(found, tables(found), out, page, as_json)
 
 
+@app.command("journeys")
+def journeys(
+    out: Annotated[Path, typer.Option(help="Folder for results.json and ppo.zip; a run is resumed there.")],
+    cities: Annotated[int | None, typer.Option(min=1, max=100, help="Test cities; the study has 20.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Decisions to learn from; the study has 400,000.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Drivers of Journey-v0 and a learnt one in unseen cities, under the navigator and on the fast engine.
+
+    Example: lanebound assess journeys --out out/drivers --cities 2 --steps 20000
+    """
+    from lanebound.agents.studies.journey_drivers import JourneyDriversConfig, assess_journeys, shown
+
+    config = JourneyDriversConfig.load(changes(assignments, cities=cities, steps=steps))
+    result = carry_out(out, "part", lambda report: assess_journeys(config, out, jobs, report))
+    show(result, shown(result), as_json, f"results.json and ppo.zip: {out}")
+
+
 @app.command("monitors")
 def assess_monitors(
     out: Annotated[Path, typer.Option(help="Folder for results.json and report.html; a run is resumed there.")],

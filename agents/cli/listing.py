@@ -102,6 +102,7 @@ def _list(as_json: bool, more: bool) -> None:
     typer.echo(f"Observations: {groups}; flat {first['flat_size']}.")
     typer.echo(f"Navigation at {first['navigation_hz']:g} Hz, dynamics at {first['simulation_hz']} Hz.")
     typer.echo(fill(f"More: {', '.join(name.partition('/')[2] for name in static_table()['more'])}.", 80))
+    typer.echo("No driving world: Journey-v0 ('lanebound assess journeys').")
     typer.echo("'lanebound envs ID' shows one whole, with every entry.")
 
 

@@ -200,9 +200,11 @@ def refuse_preset(what: str, folder: str, name: str, called: str | None = None) 
 
 
 def _require_env(name: str) -> None:
+    from lanebound.agents.presets import refuse_journey
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.core.presets import nearest
 
+    refuse_journey(name)
     table = static_table()
     ids = [name.partition("/")[2] for name in (*(row["id"] for row in table["environments"]), *table["more"])]
     short = name.removeprefix("lanebound/")

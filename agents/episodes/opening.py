@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import gymnasium
 
+from lanebound.agents.presets import refuse_journey
 from lanebound.envs import IDS, DrivingEnv, make_config, wrap
 from lanebound.envs.ids import every_id
 from lanebound.envs.navigation import NavigationConfig
@@ -29,8 +30,9 @@ def full_id(name: str) -> str:
     Raises
     ------
     InputError
-        Neither an id of lanebound nor of highway-env.
+        Neither an id of lanebound nor of highway-env, or the one of journeys.
     """
+    refuse_journey(name)
     short = {_short(env_id): env_id for env_id in every_id()}
     if _short(name) in short and (name.count("-v") == 0 or name.endswith("-v0")):
         return short[_short(name)]

@@ -20,7 +20,6 @@ from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.route_drives import (
     PACKAGES,
-    Leg,
     RouteDrivesConfig,
     drive_legs,
     navigator_config,
@@ -31,6 +30,7 @@ from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_
 from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.streams import named_generator
+from lanebound.integrity.motion.routes import Leg
 from lanebound.integrity.sky.availability import packaged_model
 from lanebound.integrity.sky.journeys.planner import MOST_UNUSABLE, WEIGHT, Planner, Route, StreetsAhead, place_on
 from lanebound.integrity.sky.journeys.streets import EdgeStations, SkyAlong
@@ -154,10 +154,10 @@ def summary(config: JourneysConfig, cities: Sequence[Sequence[Mapping[str, Any]]
         )
         for name, other in (("less", 0), ("less_fastest", 1)):
             less = (met[:, :, k] - met[:, :, other]).mean(1)
-            row[name] = {m: _interval(less[:, j], np.mean) for j, m in enumerate(MET)}
+            row[name] = {m: interval(less[:, j], np.mean) for j, m in enumerate(MET)}
         for name, what in (("gain_cost", cost), ("gain_unusable", lost)):
             pairs = np.stack([what[:, :, 0] - what[:, :, k], what[:, :, 0] - what[:, :, -1]], -1).mean(1)
-            row[name] = _interval(pairs, lambda rows: rows[:, 0].mean() / rows[:, 1].mean())
+            row[name] = interval(pairs, lambda rows: rows[:, 0].mean() / rows[:, 1].mean())
         choices.append(row)
     said, was = _routes(cities)
     return {
@@ -170,7 +170,7 @@ def summary(config: JourneysConfig, cities: Sequence[Sequence[Mapping[str, Any]]
     }
 
 
-def _interval(rows: Array, of: Callable[[Array], Any]) -> list[float]:
+def interval(rows: Array, of: Callable[[Array], Any]) -> list[float]:
     """A figure of rows by city, and its interval of 95 % by resampled cities."""
     drawn = named_generator(0, "resamples").integers(len(rows), size=(RESAMPLES, len(rows)))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -239,7 +239,7 @@ def choices(result: Mapping[str, Any]) -> Table:
         (
             row["choice"], f"{row['time_s']:.0f}", f"{row['length_m']:.0f}", f"{row['unusable_s']:.1f}",
             f"{100.0 * row['same']:.0f} %",
-            *(_text(row[name][m], 1.0, "") for name in ("less", "less_fastest") for m in ("unusable_s", "time_s")),
+            *(stated(row[name][m], 1.0, "") for name in ("less", "less_fastest") for m in ("unusable_s", "time_s")),
         )
         for row in result["choices"]
     ]  # fmt: skip
@@ -250,11 +250,11 @@ def gains(result: Mapping[str, Any]) -> Table:
     heads = ("route", f"of time + {result['weight']:g} x unusable time", "of unusable time")
     rows = [row for row in result["choices"] if row["choice"] not in ("shortest", "oracle")]
     return heads, [
-        (row["choice"], *(_text(row[g], 100.0, " %") for g in ("gain_cost", "gain_unusable"))) for row in rows
+        (row["choice"], *(stated(row[g], 100.0, " %") for g in ("gain_cost", "gain_unusable"))) for row in rows
     ]
 
 
-def _text(interval: Sequence[float], factor: float, unit: str) -> str:
+def stated(interval: Sequence[float], factor: float, unit: str) -> str:
     middle, low, high = (factor * value for value in interval)
     digits, sign = (0, "") if unit else (1, "+")
     return f"{middle:{sign}.{digits}f} ({low:{sign}.{digits}f} .. {high:{sign}.{digits}f}){unit}"

@@ -24,13 +24,7 @@ from numpy.typing import NDArray
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.context_drive import navigator_config
-from lanebound.agents.studies.route_drives import (
-    PACKAGES,
-    STATION_M,
-    Leg,
-    RouteMotion,
-    truths_of,
-)
+from lanebound.agents.studies.route_drives import PACKAGES, truths_of
 from lanebound.agents.studies.study import Shown, claim, parts_of, stored
 from lanebound.envs.sky import SkyLevel
 from lanebound.integrity.assessment.plotting import INK, legend, new_figure, save, tidy
@@ -42,6 +36,7 @@ from lanebound.integrity.monitoring.context.code_fix import code_fix
 from lanebound.integrity.monitoring.context.link_scores import ScoreKind, make_score
 from lanebound.integrity.monitoring.context.monitor import ContextConfig, ContextMonitor, ContextVerdict, match_inputs
 from lanebound.integrity.motion.drive import DriveConfig
+from lanebound.integrity.motion.routes import STATION_M, Leg, RouteMotion
 from lanebound.integrity.navigators.navigator import Navigator
 from lanebound.integrity.positioning.map_matching.map_errors import MapErrorsConfig, with_errors
 from lanebound.integrity.positioning.map_matching.road_map import RoadMap

@@ -8,46 +8,33 @@ that of the nearest of stations along the streets of all routes, which are cast 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from lanebound.agents.checkpointing.runner import Advance, ignore
-from lanebound.envs.sky import SkyLevel
+from lanebound.envs.journeys.town import Town, generated_town, navigator_at
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import named_generator
-from lanebound.integrity.motion.drive import DriveConfig, curve_limits
+from lanebound.integrity.motion.drive import DriveConfig
+from lanebound.integrity.motion.routes import STATION_M, Leg, RouteMotion
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.campaign import FaultPriors, random_campaign
 from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.sky.availability import NO_LEVEL_M
-from lanebound.integrity.sky.journeys.streets import (
-    AZIMUTH_STEP_DEG,
-    ELEVATION_STEP_DEG,
-    TURN_M,
-    EdgeStations,
-    at_hour,
-    lane_line,
-)
-from lanebound.integrity.sky.maps.city import city_of
-from lanebound.integrity.sky.maps.generated import generated_map
-from lanebound.integrity.sky.maps.graph import StreetEdge, StreetGraph
-from lanebound.integrity.sky.road import Road
-from lanebound.integrity.sky.scene import City, clad
-from lanebound.integrity.sky.survey import MapConfig, as_mapped
+from lanebound.integrity.sky.journeys.streets import AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG, EdgeStations
+from lanebound.integrity.sky.survey import MapConfig
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
 Array = NDArray[np.float64]
 
-PACKAGES = ("lanebound.integrity", "lanebound.agents.studies", "lanebound.envs.sky")  # that results depend on
-STATION_M = 8.0  # of the true sky; of the sky of environments 5 m
+PACKAGES = ("lanebound.integrity", "lanebound.agents.studies", "lanebound.envs.journeys", "lanebound.envs.sky")
+"""That results depend on."""
 
 
 class RouteDrivesConfig(Config):
@@ -65,35 +52,14 @@ class RouteDrivesConfig(Config):
     drive: DriveConfig = Field(DriveConfig(), description="accelerations; the speed limits are those of the streets")
 
 
-class Town(NamedTuple):
-    """A city, its graph, its solids as they are and as they are mapped."""
-
-    graph: StreetGraph
-    true: City
-    mapped: City
-
-
 def town_of(config: RouteDrivesConfig, seed: int) -> Town:
     """The generated city of a seed; the map is a draw of its own."""
-    streets = generated_map(seed)
-    city, level = city_of(streets), SkyLevel.named(config.sky)
-    city = replace(city, material=clad(city.building, level.material_shares, named_generator(seed, "facades")))
-    mapped = as_mapped(city, config.map, named_generator([config.seed, seed], "map"))
-    return Town(StreetGraph.of(streets), city, mapped)
+    return generated_town(config.sky, config.map, config.seed, seed)
 
 
 def navigator_config(config: RouteDrivesConfig, hour: float) -> NavigatorConfig:
     """The navigator with the instruments of the sky, at an hour of the day."""
-    base = SkyLevel.named(config.sky).navigator(config.navigator)
-    return base.replace(sky=at_hour(base.sky, hour).to_dict())
-
-
-class Leg(NamedTuple):
-    """A way to be driven: edges in order, and the shares of the first and the last one where it begins and ends."""
-
-    edges: tuple[int, ...]
-    begin: float
-    end: float
+    return navigator_at(config.sky, config.navigator, hour)
 
 
 class Driven(NamedTuple):
@@ -166,78 +132,6 @@ def drive_legs(
         rtk, usable, level = (np.array(column) for column in zip(*rows_met, strict=True))
         out.append(Driven(base.dt_s, way.length_m, way.place_en_m[1:], rtk, usable, level))
     return out
-
-
-class RouteMotion(NamedTuple):
-    """The motion of a vehicle, by epoch (K + 1,), from standing to standing; ``row`` of the stations of the mask.
-
-    starts_m (n + 1,): where along the way its edges begin, in the middles of junctions, and where the last one ends.
-    """
-
-    length_m: float
-    starts_m: Array
-    arc_m: Array
-    place_en_m: Array
-    heading_rad: Array
-    speed_mps: Array
-    row: NDArray[np.int64]
-
-    @classmethod
-    def of(
-        cls, edges: Sequence[StreetEdge], leg: Leg, stations: EdgeStations, rows: NDArray[np.int64],
-        drive: DriveConfig, dt_s: float,
-    ) -> RouteMotion:  # fmt: skip
-        """The motion along edges."""
-        parts = _lane_along(edges, leg)
-        road = Road.through(np.concatenate(parts), corner_radius_m=np.inf)
-        near = cKDTree(stations.place_en_m[rows])
-        limit = stations.speed_mps[rows][near.query(road.vertices_en_m)[1]]
-        speed = _profile(road, limit, drive)
-        step = np.diff(road.arc_at_m)
-        time_s = np.concatenate([[0.0], np.cumsum(2.0 * step / (speed[:-1] + speed[1:]))])
-        at = np.minimum(dt_s * np.arange(int(np.ceil(time_s[-1] / dt_s)) + 1), time_s[-1])
-        k = np.clip(np.searchsorted(time_s, at, side="right") - 1, 0, step.size - 1)
-        v = np.interp(at, time_s, speed)
-        arc = np.minimum(road.arc_at_m[k] + 0.5 * (speed[k] + v) * (at - time_s[k]), road.length_m)
-        place, heading = road.pose_at(arc)
-        return cls(road.length_m, _starts_m(road, parts), arc, place, heading, v, rows[near.query(place)[1]])
-
-
-def _starts_m(road: Road, parts: Sequence[Array]) -> Array:
-    """Arcs (n + 1,) of the middles of the chords between parts of a line, one after another, and of both ends."""
-    starts, at = [0.0], 0.0
-    for before, after in pairwise(parts):
-        middle = 0.5 * (before[-1] + after[0])
-        ahead = np.linalg.norm(np.diff(before, axis=0), axis=1).sum() + np.linalg.norm(after[0] - before[-1])
-        inside = np.flatnonzero((road.arc_at_m > at) & (road.arc_at_m <= at + 1.5 * ahead + 2.0))
-        away = np.linalg.norm(road.vertices_en_m[inside] - middle, axis=-1)
-        at = float(road.arc_at_m[inside[np.argmin(away)]])
-        starts.append(at)
-    return np.array([*starts, road.length_m])
-
-
-def _lane_along(edges: Sequence[StreetEdge], leg: Leg) -> list[Array]:
-    """The rightmost lanes of edges in order; across the junctions lie chords.  (n, 2) [m] each."""
-    parts = []
-    for k, edge in enumerate(edges):
-        line = lane_line(edge)
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        corner = min(TURN_M, 0.3 * arc[-1])
-        begin = leg.begin * arc[-1] if k == 0 else corner
-        end = leg.end * arc[-1] if k == len(edges) - 1 else arc[-1] - corner
-        at = np.array([begin, *arc[(arc > begin + 1.0) & (arc < end - 1.0)], max(end, begin + 1.0)])
-        parts.append(np.stack([np.interp(at, arc, line[:, j]) for j in (0, 1)], -1))
-    return parts
-
-
-def _profile(road: Road, limit_mps: Array, drive: DriveConfig) -> Array:
-    """Speeds at the vertices of a road within limits, bends and accelerations, from standing to standing."""
-    step, legal = np.diff(road.arc_at_m), limit_mps.copy()
-    legal[0] = legal[-1] = 0.0
-    speed = curve_limits(road, legal, drive)
-    for k in range(step.size):
-        speed[k + 1] = min(speed[k + 1], np.sqrt(speed[k] ** 2 + 2.0 * drive.acceleration_mps2 * step[k]))
-    return speed
 
 
 def truths_of(ways: Sequence[RouteMotion], wait: int, epochs: int, dt_s: float) -> Iterator[Truth]:

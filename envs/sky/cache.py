@@ -19,6 +19,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 from highway_env.road.road import RoadNetwork
+from numpy.typing import NDArray
 
 from lanebound.envs.sky.corridors import edges_of
 from lanebound.envs.sky.level import SkyLevel
@@ -29,7 +30,7 @@ from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.visibility import SkyMask, rows_in
 
-__all__ = ["key_of", "load", "remember", "save"]
+__all__ = ["folder", "key_of", "load", "remember", "save", "sources_digest", "write"]
 
 IN_MEMORY = 8
 ON_DISK_BYTES = 2**30  # some hundred cities of each id, at about 1 to 5 MB
@@ -41,7 +42,7 @@ _recent: OrderedDict[str, Street] = OrderedDict()
 def key_of(network: RoadNetwork, level: SkyLevel, *more: Any) -> str:
     """Digest of the inputs of a street; equal inputs give equal digests."""
     h = hashlib.blake2b(digest_size=16)
-    h.update(repr((_sources(), np.__version__, level.to_json(), more)).encode())
+    h.update(repr((sources_digest(), np.__version__, level.to_json(), more)).encode())
     for edge, lanes in edges_of(network):
         for lane in lanes:
             length = float(lane.length)
@@ -51,7 +52,7 @@ def key_of(network: RoadNetwork, level: SkyLevel, *more: Any) -> str:
 
 
 @cache
-def _sources() -> str:
+def sources_digest() -> str:
     """Digest of the code that builds streets."""
     h = hashlib.blake2b(digest_size=8)
     for module in (__file__, str(sky.__file__)):
@@ -71,10 +72,10 @@ def remember(key: str, street: Street | None = None) -> Street | None:
     return _recent.get(key)
 
 
-def folder() -> Path | None:
-    """Directory of the streets on disk, None without a writable directory."""
+def folder(name: str = "streets") -> Path | None:
+    """Directory on disk of streets, or of what else is kept; None without a writable directory."""
     root = cache_root()
-    return None if root is None else root / "streets"
+    return None if root is None else root / name
 
 
 def load(key: str, lanes: LaneMap) -> Street | None:
@@ -96,7 +97,14 @@ def load(key: str, lanes: LaneMap) -> Street | None:
 
 def save(key: str, street: Street) -> None:
     """Write a street to disk atomically; only the files used last are kept, up to 1 GiB."""
-    place = folder()
+    write(
+        folder(), key, free=street.forecast.free, triangles=street.city.triangles_enu_m, surface=street.city.surface,
+        material=street.city.material, **street.mask.rows._asdict(),
+    )  # fmt: skip
+
+
+def write(place: Path | None, key: str, **arrays: NDArray[Any]) -> None:
+    """Write arrays as a file of a folder atomically; only the files used last are kept, up to 1 GiB."""
     if place is None:
         return
     with suppress(OSError):
@@ -104,14 +112,7 @@ def save(key: str, street: Street) -> None:
         handle, name = tempfile.mkstemp(dir=place, suffix=".part")
         try:
             with os.fdopen(handle, "wb") as file:
-                np.savez_compressed(
-                    file,
-                    free=street.forecast.free,
-                    triangles=street.city.triangles_enu_m,
-                    surface=street.city.surface,
-                    material=street.city.material,
-                    **street.mask.rows._asdict(),
-                )
+                np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
             os.replace(name, place / f"{key}.npz")
         except OSError:
             Path(name).unlink(missing_ok=True)

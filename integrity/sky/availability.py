@@ -59,6 +59,15 @@ class Fit(NamedTuple):
         """Probabilities (n,)."""
         return np.asarray(expit(self.basis.at(x, y) @ self.coefficients))
 
+    def to_dict(self) -> dict[str, Any]:
+        """The fit as plain data."""
+        return {"x": self.basis.x.tolist(), "y": self.basis.y.tolist(), "coefficients": self.coefficients.tolist()}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Self:
+        """The fit of :meth:`to_dict`."""
+        return cls(Basis.of(np.array(data["x"]), np.array(data["y"])), np.array(data["coefficients"]))
+
 
 class AvailabilityModel(NamedTuple):
     """Both stages, and quantiles of levels.
@@ -104,16 +113,13 @@ class AvailabilityModel(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """The model as plain data."""
-        fits = {name: _plain(fit) for name, fit in (("fix", self.fix), ("use", self.use))}
+        fits = {"fix": self.fix.to_dict(), "use": self.use.to_dict()}
         return {**fits, **{name: getattr(self, name).tolist() for name in ("edges", "shares", "levels")}}
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Self:
         """The model of :meth:`to_dict`."""
-        fix, use = (
-            Fit(Basis.of(*(np.array(data[name][axis]) for axis in ("x", "y"))), np.array(data[name]["coefficients"]))
-            for name in ("fix", "use")
-        )
+        fix, use = (Fit.from_dict(data[name]) for name in ("fix", "use"))
         return cls(fix, use, *(np.array(data[name]) for name in ("edges", "shares", "levels")))
 
 
@@ -122,10 +128,6 @@ def packaged_model() -> AvailabilityModel:
     """The model that was fitted on generated training cities (``lanebound reproduce availability``)."""
     text = resources.files("lanebound.configs").joinpath(FILE).read_text(encoding="utf-8")
     return AvailabilityModel.of(json.loads(text)["model"])
-
-
-def _plain(fit: Fit) -> dict[str, Any]:
-    return {"x": fit.basis.x.tolist(), "y": fit.basis.y.tolist(), "coefficients": fit.coefficients.tolist()}
 
 
 def likely(fix: Fit, satellites: Array, pdop: Array) -> Flags:

@@ -14,8 +14,8 @@ from lanebound.agents.cli import app
 from lanebound.agents.studies import journeys as study
 from lanebound.agents.studies.availability import AvailabilityConfig, fitted
 from lanebound.agents.studies.availability import work_city as work_training_city
-from lanebound.agents.studies.route_drives import Leg, RouteMotion, _profile
 from lanebound.integrity.motion.drive import DriveConfig
+from lanebound.integrity.motion.routes import Leg, RouteMotion, speed_profile
 from lanebound.integrity.sky.journeys.streets import EdgeStations
 from lanebound.integrity.sky.maps.generated import generated_map, map_seed
 from lanebound.integrity.sky.maps.graph import StreetGraph
@@ -110,7 +110,7 @@ def test_a_short_run_of_journeys(tmp_path: Path) -> None:
 
 def test_vehicles_are_slow_enough_at_both_ends_of_every_bend() -> None:
     drive, road = DriveConfig(), Road.through([(0, 0), (100, 0), (100, 80), (180, 100)], corner_radius_m=12.0)
-    speed = _profile(road, np.full(road.arc_at_m.size, 14.0), drive)
+    speed = speed_profile(road, np.full(road.arc_at_m.size, 14.0), drive)
     step, turn = np.diff(road.arc_at_m), np.abs(np.diff(road.tangent_rad))
     bend = turn > 1e-6
     most = np.maximum(np.sqrt(drive.lateral_mps2 * step[bend] / turn[bend]), 3.0) + 1e-9

@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.studies import map_matching as made
-from lanebound.agents.studies.route_drives import Leg, RouteMotion
 from lanebound.integrity.assessment.warning_rates import WarningSweep
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.motion.drive import DriveConfig
+from lanebound.integrity.motion.routes import Leg, RouteMotion
 
 BERLIN = "berlin_kreuzberg"
 SHORT = {
