@@ -62,7 +62,7 @@ def markdown() -> str:
     parts = {
         "CONTENTS": _contents(),
         "ALL": _page(DrivingEnv),
-        "IDS": "\n\n".join(f"## {kind.__name__}\n\n{_short(kind)}" for kind in (*PAGED, Journey)),
+        "IDS": "\n\n".join(f"## {_name(kind)}\n\n{_short(kind)}" for kind in (*PAGED, Journey)),
         "JOURNEY_KEYS": _table(("key", "default", "meaning"), _journey_keys()),
         "PRICED": _table(PRICED_HEAD, map(_later, PRICED)),
         "FAULT_KINDS": _fault_table(),
@@ -84,6 +84,11 @@ SAME = re.compile(r"## [\w ]+\n(As above\.|\* v0: first version.*)(\n\n|$)")
 def _page(kind: type[Any]) -> str:
     """A class's docstring with its headings one level lower, less the sections that say nothing of their own."""
     return SAME.sub("", (inspect.getdoc(kind) or "").strip()).strip().replace("## ", "### ")
+
+
+def _name(kind: Any) -> str:
+    """The name of an environment without version."""
+    return "Journey" if kind is Journey else id_of(kind).removeprefix("lanebound/").removesuffix("-v0")
 
 
 def _short(kind: type[Any]) -> str:
@@ -121,7 +126,7 @@ def _journey_keys() -> list[list[str]]:
 
 
 def _line(kind: type[Preset], c: EnvConfig) -> list[str]:
-    name, action = f"[{id_of(kind)}](#{kind.__name__.lower()})", f"{c.action.value}, {c.policy_hz} Hz"
+    name, action = f"[{id_of(kind)}](#{_name(kind).lower()})", f"{c.action.value}, {c.policy_hz} Hz"
     return [name, f"`{c.base}`", action, c.sky, f"{c.cost_limit:g}"]
 
 

@@ -17,7 +17,7 @@ from lanebound.envs.ids.registry import (
     register_id,
     withdraw_id,
 )
-from lanebound.envs.ids.streets import CarFollowing, City, LaneKeeping, UrbanCanyon
+from lanebound.envs.ids.streets import CarFollowing, CityStreets, LaneKeeping, UrbanCanyon
 from lanebound.envs.ids.tolling import Tolling
 from lanebound.envs.ids.work_zone import WorkZone
 
@@ -31,7 +31,7 @@ __all__ = [
     "PRICED",
     "PRICES",
     "CarFollowing",
-    "City",
+    "CityStreets",
     "Guidance",
     "Highway",
     "Intersection",

@@ -11,7 +11,7 @@ from lanebound.envs.ids.guidance import Guidance
 from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, Roundabout
 from lanebound.envs.ids.preset import Preset, has_engine, id_of
 from lanebound.envs.ids.priced import PRICED
-from lanebound.envs.ids.streets import CarFollowing, City, LaneKeeping, UrbanCanyon
+from lanebound.envs.ids.streets import CarFollowing, CityStreets, LaneKeeping, UrbanCanyon
 from lanebound.envs.ids.tolling import Tolling
 from lanebound.envs.ids.work_zone import WorkZone
 from lanebound.envs.world import world_defaults
@@ -42,7 +42,7 @@ CLASSES: tuple[type[Preset], ...] = (
     Racetrack,
     UrbanCanyon,
 )
-MORE: tuple[type[Preset], ...] = (*PRICED, WorkZone, Guidance, Tolling, City)
+MORE: tuple[type[Preset], ...] = (*PRICED, WorkZone, Guidance, Tolling, CityStreets)
 """Classes of ids of ours that suites, pages of results and shipped policies do not drive."""
 
 IDS: dict[str, dict[str, Any]] = {}

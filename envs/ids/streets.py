@@ -161,7 +161,7 @@ class UrbanCanyon(Preset):
     }
 
 
-class City(Preset):
+class CityStreets(Preset):
     """
     ## Description
     Drive through 16 generated cities, one of them drawn for each episode: each has its own streets (a grid with shifted
@@ -198,6 +198,7 @@ class City(Preset):
     * v0: first version.
     """
 
+    ID = "lanebound/City-v0"
     CORE_S = 0.05
     PRESET: ClassVar[Mapping[str, Any]] = {
         **UrbanCanyon.PRESET,
