@@ -11,6 +11,7 @@ from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.world import make_world, world_defaults
 from lanebound.envs.worlds import world_kind
 from lanebound.envs.worlds.base import META, World
+from lanebound.envs.worlds.street_maps import EACH_CITY, MOST_CITIES
 from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["world_of"]
@@ -37,6 +38,10 @@ def world_of(config: EnvConfig) -> AbstractEnv:
     own = dict(META) if ours and not continuous else _action(defaults["action"], config.action)
     _require_kind(config)
     world = dict(config.world)
+    if "seeds" in world:
+        raise ConfigError("world.seeds must be left out: set cities.split and cities.count")
+    if world.get("map") == EACH_CITY:
+        world["seeds"] = _seeds_of(config)
     if "offroad_terminal" in defaults:
         world.setdefault("offroad_terminal", config.off_road_ends)
     made = make_world(
@@ -44,6 +49,16 @@ def world_of(config: EnvConfig) -> AbstractEnv:
     )
     _require_offered(config, made)
     return made
+
+
+def _seeds_of(config: EnvConfig) -> list[int]:
+    """The generated cities of a world that has a road in each."""
+    cities = config.cities
+    if cities.number > MOST_CITIES:
+        raise ConfigError(
+            f"cities.count must be at most {MOST_CITIES} with world.map 'generated', got {cities.number}: lower it"
+        )
+    return [cities.seed_of(k) for k in range(cities.number)]
 
 
 def _require_offered(config: EnvConfig, world: AbstractEnv) -> None:

@@ -20,7 +20,7 @@ from lanebound.envs.batch.navigation import NavigationBatch, Starts, draw_starts
 from lanebound.envs.batch.perception import PerceptionBatch
 from lanebound.envs.batch.route_map import routes_of
 from lanebound.envs.batch.rules import rules_of
-from lanebound.envs.batch.skies import HOURS, Cities, Sites, Skies
+from lanebound.envs.batch.skies import HOURS, NO_SEED, Cities, Sites, Skies
 from lanebound.envs.config import EnvConfig, FaultLevel
 from lanebound.envs.info import FAULT_INFO
 from lanebound.envs.recordings import recordings_of
@@ -112,13 +112,16 @@ def make_batch(
     capacity : slots of the others
     """
     streets, first = Streets.of(world, config), (config.cities.seed_of(0), 0)
-    slots = min(config.cities.number * len(streets.networks), count + waiting)
+    slots = min((1 if streets.seeds else config.cities.number) * len(streets.networks), count + waiting)
     return _episodes(world, config, streets, first, streets(*first), slots, range(HOURS), count, vehicles, capacity)
 
 
 @dataclass(frozen=True)
 class Streets:
-    """Makes the streets of cities along the roads of a world, or of its map, at each site of its network."""
+    """Makes the streets of cities along the roads of a world, or of its map, at each site of its network.
+
+    seeds : of the cities at the sites; empty where any city may be at any of them
+    """
 
     networks: tuple[RoadNetwork, ...]
     level: SkyLevel
@@ -127,6 +130,7 @@ class Streets:
     vary: bool
     surroundings: tuple[City, ...]
     widest: int
+    seeds: tuple[int, ...]
 
     @classmethod
     def of(cls, world: AbstractEnv, config: EnvConfig) -> Self:
@@ -135,7 +139,8 @@ class Streets:
         whole, sites = world.road.network, len(getattr(world.road.network, "sites", ()))
         networks = tuple(whole.alone(k) for k in range(sites)) or (whole,)
         widest = max(len(lanes) for ends in whole.graph.values() for lanes in ends.values()) if sites else 0
-        return cls(networks, config.level, sections, config.extent_m, config.cities.vary, around, widest)
+        seeds = tuple(world.config.get("seeds", ()))
+        return cls(networks, config.level, sections, config.extent_m, config.cities.vary, around, widest, seeds)
 
     def __call__(self, seed: int, site: int) -> Street:
         level, network = self.level.of_city(seed) if self.vary else self.level, self.networks[site]
@@ -156,7 +161,7 @@ class Streets:
                 row = table.row[index]
                 number[row], begin_m[row], reach_m[row] = k, lanes.offset_m[index[:2]], reach
             stations = max(stations, lanes.count)
-        return Sites(number, begin_m, reach_m, stations)
+        return Sites(number, begin_m, reach_m, stations, np.array(self.seeds or len(self.networks) * [NO_SEED]))
 
 
 def _around(world: AbstractEnv, extent_m: float) -> tuple[City, ...]:
@@ -268,7 +273,8 @@ def set_scene(
     crew = np.ones((1, capacity if config.perception.others_navigate else 0), dtype=np.bool_)
     starts = draw_starts([seed], config.cities, HOURS, crew, config.navigation.source.uses_sensors)
     hour, streets = int(starts.hour[0]), Streets.of(world, config)
-    city = int(starts.city[0]), streets.site_of(world.vehicle.lane_index)
+    site = streets.site_of(world.vehicle.lane_index)
+    city = streets.seeds[site] if streets.seeds else int(starts.city[0]), site
     street = streets(*city)
     episodes = _episodes(world, config, streets, city, street, 1, [hour], 1, 1 + others, capacity)
     navigation, ends_s = episodes.navigation, duration_s(config, world)

@@ -22,7 +22,7 @@ from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SkyMask
 
-__all__ = ["HOURS", "Cities", "Skies"]
+__all__ = ["HOURS", "NO_SEED", "Cities", "Sites", "Skies"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -130,14 +130,19 @@ def _hour(text: str, knots: int, hour: int) -> tuple[Array, Array]:
     return offset, rate
 
 
+NO_SEED = -1
+
+
 class Sites(NamedTuple):
     """Where the lanes (L,) of a network are: number of the site, arc of the beginning of each lane in a city there, up
-    to where the lane has stations [m]; and the largest number of stations of a site."""
+    to where the lane has stations [m]; the largest number of stations of a site; and the seed of the city of each site,
+    NO_SEED where it is drawn."""
 
     number: Rows
     begin_m: Array
     reach_m: Array
     stations: int
+    seed: Rows
 
 
 class Cities:
@@ -199,7 +204,9 @@ class Cities:
         """
         where.city[rows] = NOWHERE_M  # leave their slots to others
         for row, seed, site in zip(rows.tolist(), seeds.tolist(), self.sites.number[lanes].tolist(), strict=True):
-            where.city[row] = self.mask.spacing_m * self._stations * self._slot((seed, site))
+            own = int(self.sites.seed[site])
+            slot = self._slot((seed if own == NO_SEED else own, site))
+            where.city[row] = self.mask.spacing_m * self._stations * slot
 
     def _slot(self, city: tuple[int, int]) -> int:
         """The slot of a city at a site."""

@@ -164,12 +164,12 @@ class UrbanCanyon(Preset):
 class CityStreets(Preset):
     """
     ## Description
-    Drive through 16 generated cities, one of them drawn for each episode: each has its own streets (a grid with shifted
+    Drive through generated cities, one of 16 drawn for each episode: each has its own streets (a grid with shifted
     junctions, or rings with spokes), buildings, park and rows of trees on avenues. The way is closed and 2.8 to 4.3 km
     long, mostly with one lane of 3.25 m; speed limits are 8.3 to 16.7 m/s (30 to 60 km/h). There are up to 10 other
     vehicles. The alert limits are 1.5 m along and 0.625 m across the track.
 
-    Difficulty: neither the streets nor the sky of a test city have been seen in training.
+    Difficulty: with `cities: {split: test, count: 16}` neither streets nor sky have been seen in training.
 
     ## Action Space
     `Discrete(5)` at 2 Hz, as in UrbanCanyon.
@@ -190,9 +190,8 @@ class CityStreets(Preset):
     As in UrbanCanyon.
 
     ## Arguments
-    As UrbanCanyon. `config["world"]`: `map` (`generated:SEED`, a packaged map or a file) and `roads`: the cities from
-    SEED on, or as many ways through one map ([street maps](#street-maps)). `generated:2147483648` is the first of the
-    100 cities for tests; seeds below that are for training.
+    As UrbanCanyon, and `config["cities"]`: `split` and `count` (at most 128) of the cities. A city that is new is made
+    at the reset, in about 3 s. `config["world"]["map"]`: `generated`, or a map alone ([street maps](#street-maps)).
 
     ## Version History
     * v0: first version.
@@ -202,6 +201,6 @@ class CityStreets(Preset):
     CORE_S = 0.05
     PRESET: ClassVar[Mapping[str, Any]] = {
         **UrbanCanyon.PRESET,
-        "world": {"map": "generated:0", "roads": 16},
-        "cities": {"count": 1},
+        "world": {"map": "generated"},
+        "cities": {"count": 16},
     }

@@ -32,7 +32,7 @@ from lanebound.integrity.sky.visibility import SkyMask, rows_in
 
 __all__ = ["folder", "key_of", "load", "remember", "save", "sources_digest", "write"]
 
-IN_MEMORY = 8
+IN_MEMORY = 32
 ON_DISK_BYTES = 2**30  # some hundred cities of each id, at about 1 to 5 MB
 SAMPLES = 12  # poses by which a lane is recognised
 

@@ -34,11 +34,13 @@ from lanebound.integrity.sky.maps.records import StreetMap, StreetWay
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 
-__all__ = ["MapRoad", "map_cities_of", "map_place", "map_roads", "map_roads_of"]
+__all__ = ["EACH_CITY", "MOST_CITIES", "MapRoad", "map_cities_of", "map_place", "map_roads", "map_roads_of"]
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]
 
+EACH_CITY = "generated"  # map of a world that has a road in each of its generated cities
+MOST_CITIES = 128
 SIMPLE_M = 0.5  # by which a street may differ from its points
 TAPER_M = 15.0  # before and after a place where the lanes of a street lie elsewhere in the carriageway
 STRAIGHT_ON = radians(15.0)  # of a turn, below which lanes shift by a taper
@@ -95,7 +97,7 @@ class MapRoad:
 def map_roads_of(world: Mapping[str, Any]) -> tuple[MapRoad, ...]:
     """The roads of a world's configuration, each made once: ``map``, ``route``, ``via``, ``roads``, ``lane_width``.
 
-    None without a map. Several are those of the ways from ``route`` on, or of the generated cities from SEED on.
+    Empty without a map. Several are those of the ways from ``route`` on, or one of each generated city of ``seeds``.
 
     Raises
     ------
@@ -117,8 +119,11 @@ def _city_at(site: int, *asked: Any) -> City:
     return _road(*asked).city.moved(0.0, -site * APART_M)
 
 
-def _asked(world: Mapping[str, Any]) -> list[tuple[str, int, tuple[Place, ...], float]]:
-    """Map, number of the way, places and width of a lane of each road that a world asks for."""
+def _asked(world: Mapping[str, Any]) -> list[tuple[str, StreetMap | None, int, tuple[Place, ...], float]]:
+    """Name and contents of the map, number of the way, places and width of a lane of each road that a world asks for.
+
+    The contents of a file stand for its state: a file that has changed is another map.
+    """
     name, via, roads = world.get("map"), world.get("via") or (), world.get("roads", 1)
     if name is None:
         if via or world.get("route") or roads > 1:
@@ -133,11 +138,12 @@ def _asked(world: Mapping[str, Any]) -> list[tuple[str, int, tuple[Place, ...], 
     if len(via) > MOST_VIA:
         raise ConfigError(f"world.via must hold at most {MOST_VIA} places, got {len(via)}: leave some out")
     places, width_m, route = tuple(map(tuple, via)), world["lane_width"], world["route"]
-    if name.startswith(GENERATED):
-        named_map(name)  # refuses what is no seed
-        first = int(name.removeprefix(GENERATED))
-        return [(f"{GENERATED}{first + k}", route, places, width_m) for k in range(roads)]
-    return [(name, route + k, places, width_m) for k in range(roads)]
+    if name == EACH_CITY:
+        if roads > 1:
+            raise ConfigError(f"world.roads must be left out with map 'generated', got {roads}: set cities.count")
+        return [(f"{GENERATED}{seed}", None, route, places, width_m) for seed in world["seeds"]]
+    streets = None if name.startswith(GENERATED) else named_map(name)
+    return [(name, streets, route + k, places, width_m) for k in range(roads)]
 
 
 def _is_place(place: Any) -> bool:
@@ -151,7 +157,7 @@ def map_place(world: Mapping[str, Any]) -> dict[str, Any]:
     name = world.get("map")
     if not isinstance(name, str):
         return {}
-    frame = named_map(name).frame
+    frame = named_map(f"{GENERATED}0" if name == EACH_CITY else name).frame  # generated cities lie in one place
     return {"sky": {"lat_deg": frame.lat_deg, "lon_deg": frame.lon_deg}}
 
 
@@ -168,8 +174,8 @@ def map_roads(name: str, width_m: float = LANE_WIDTH_M, most: int = 8) -> list[M
 
 
 @lru_cache(maxsize=128)
-def _road(name: str, route: int, via: tuple[Place, ...], width_m: float) -> MapRoad:
-    streets = named_map(name)
+def _road(name: str, streets: StreetMap | None, route: int, via: tuple[Place, ...], width_m: float) -> MapRoad:
+    streets = named_map(name) if streets is None else streets
     for k, place in enumerate(via):
         at = streets.frame.en_of(*place)
         away_m = min(distance_m(street.points_en_m, at) for street in streets.streets)

@@ -153,10 +153,10 @@ class UrbanCanyonWorld(World):
     Configuration
         ``vehicles_count`` (largest number of other vehicles; a vehicle whose place is occupied is left out), ``spread``
         [m] (range along the road around the ego for their starts), ``initial_speed`` [m/s]; ``map`` (a packaged street
-        map, a file or ``generated:SEED``, whose streets and buildings take the place of the loop; None: the loop),
-        ``route`` (number of the closed way through the map, 0 for the longest), ``via`` (places, latitude and
-        longitude, by which it leads), ``roads`` (number of ways, one of them drawn for each episode: the longest ones
-        from ``route`` on, or those of the generated cities from SEED on).
+        map, a file or ``generated:SEED``, whose streets and buildings take the place of the loop; ``generated``: one in
+        each generated city of ``seeds``; None: the loop), ``route`` (number of the closed way through the map, 0 for
+        the longest), ``via`` (places, latitude and longitude, by which it leads), ``roads`` (number of ways from
+        ``route`` on), ``seeds`` (of the cities). Where there are several ways, one is drawn for each episode.
     """
 
     OTHERS: ClassVar[type[Vehicle]] = CityDriver
@@ -177,6 +177,7 @@ class UrbanCanyonWorld(World):
             "route": 0,
             "via": [],
             "roads": 1,
+            "seeds": [],
         }
 
     @property
@@ -205,7 +206,9 @@ class UrbanCanyonWorld(World):
     def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
         """Draw places on the loop; vehicles that would start too close to another are left out."""
         c, network = self.config, self.road.network
-        start, end, side = network.random_lane_index(rng)
+        sites = len(network.sites)
+        here = network.alone(int(rng.integers(sites))) if sites else network
+        start, end, side = here.random_lane_index(rng)
         index = (str(start), str(end), int(side))
         lane = network.get_lane(index)
         along = float(rng.uniform(0.0, lane.length))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lanebound.envs.batch.lanes import lane_table
-from lanebound.envs.batch.skies import Cities, Sites
+from lanebound.envs.batch.skies import NO_SEED, Cities, Sites
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
 from lanebound.envs.sky import Street, build_street
@@ -41,8 +41,8 @@ def test_an_episode_in_any_city_is_the_single_one(name: str, change: dict[str, A
 
 
 def test_episodes_of_city_are_in_cities_with_their_own_streets() -> None:
-    world = {"map": "generated:5", "roads": 3, "vehicles_count": 2}
-    pairs = Pairs("City", {"world": world, "duration_s": 2.0}, 2, 5)
+    world = {"vehicles_count": 2}
+    pairs = Pairs("City", {"world": world, "duration_s": 2.0, "cities": {"split": "test", "count": 3}}, 2, 5)
     roads = set()
     for start in range(4):
         pairs.step(2)
@@ -76,7 +76,13 @@ def street_of(seed: int) -> Street:
 def cities_of(slots: int) -> Cities:
     table, one = lane_table(DrivingEnv(make_config("lanebound/LaneKeeping-v0")).world.road.network), street_of(0)
     number, (begin_m, reach_m) = np.zeros(len(table.index), np.int64), np.zeros((2, len(table.index)))
-    return Cities(lambda seed, _: street_of(seed), Sites(number, begin_m, reach_m, one.lanes.count), slots, (0, 0), one)
+    return Cities(
+        lambda seed, _: street_of(seed),
+        Sites(number, begin_m, reach_m, one.lanes.count, np.array([NO_SEED])),
+        slots,
+        (0, 0),
+        one,
+    )
 
 
 def city_at(cities: Cities, arc_m: float, seed: int) -> None:
