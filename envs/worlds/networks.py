@@ -28,7 +28,7 @@ Section = tuple[str, str, float, float, str]
 Box = tuple[str, str, list[CurveLane], tuple[float, float, float, float]]
 
 LAYOUTS = 4  # of each kind of road
-APART_M = 10_000.0  # between sites; nothing that is measured depends on where a site is
+APART_M = 10_000.0  # between sites; no signal depends on where a site is
 TURN_LIMIT_RAD = 1.2  # a road that never turns back does not meet itself
 
 # Corners x, y and radius [m] of a loop of 3 km, driven clockwise.

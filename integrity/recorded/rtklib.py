@@ -70,6 +70,7 @@ REFERENCE_COLUMNS = {
 }  # fmt: skip
 OPTIONAL_COLUMNS = {"GPS Week": (0.0, 1e4), "Heading (deg)": (-360.0, 360.0)}
 SHORT_NAMES = {"GPS time": "GPS TOW (s)", "X": "ECEF X (m)", "Y": "ECEF Y (m)", "Z": "ECEF Z (m)"}  # of other sources
+EARTH_M = 6.371e6
 MATCHED_S = 0.02  # largest time between a solution and its reference
 
 
@@ -213,6 +214,12 @@ def read_reference(path: str | Path) -> ReferenceTrack:
     rows[:, 0] = unrolled(rows[:, 0])
     keep, timing = in_order(path, rows[:, 0], rows=rows)
     rows = rows[keep]
+    farthest = float(np.abs(np.linalg.norm(rows[:, 1:4], axis=1) - EARTH_M).max())
+    if farthest > FARTHEST_M:
+        raise InputError(
+            f"{path} must have ECEF positions near the Earth's surface, got one {farthest / 1000.0:.0f} km off it: are "
+            "X, Y and Z of another frame?"
+        )
     week = None if np.isnan(rows[0, 4]) else int(rows[0, 4])
     return ReferenceTrack(rows[:, 0], week, rows[:, 1:4], np.radians(rows[:, 5]), stop, timing)
 

@@ -26,7 +26,7 @@ from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.positioning.modes import Mode, RtkStatus
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations, read_observations
 from lanebound.integrity.recorded.rtklib import MATCHED_S, ReferenceTrack, read_reference
-from lanebound.integrity.recorded.source import finite_number
+from lanebound.integrity.recorded.source import finite_number, leap_seconds
 from lanebound.integrity.replay import write_summary
 from lanebound.integrity.replay.baseline import (
     Baseline,
@@ -313,7 +313,28 @@ def _true_places(solved: Baseline, track: ReferenceTrack, path: Path | None) -> 
             f"{solved.tow_s[0]:.1f} to {solved.tow_s[-1]:.1f} s), got {path} with {first} to {last} s: use the track "
             "of the same drive in GPS time"
         )
+    _require_no_shift(solved, track, found)
     return found
+
+
+def _require_no_shift(solved: Baseline, track: ReferenceTrack, found: Array) -> None:
+    """Refuse a track that fits the fixed positions only with its times moved by leap seconds."""
+    time, known = solved.week * WEEK_S + solved.tow_s, solved.fixed & np.isfinite(found[:, 0])
+
+    def off_m(places: Array) -> float:
+        return float(np.nanmedian(np.linalg.norm(places - solved.ecef_m, axis=1)[known]))
+
+    if not known.any():
+        return
+    leap_s = float(leap_seconds(time[:1])[0])
+    for shift_s in (-leap_s, leap_s):
+        moved = track.at(time + shift_s)
+        here = np.isfinite(moved[:, 0]) & known
+        if here.any() and off_m(found) > STILL_M > 2.0 * off_m(np.where(here[:, None], moved, np.nan)):
+            raise InputError(
+                f"--truth must be in GPS time, got positions {off_m(found):.0f} m off, which fit {abs(shift_s):g} s "
+                f"{'earlier' if shift_s < 0.0 else 'later'}: convert its times from UTC"
+            )
 
 
 def _distance_to_header(place: Array, header: Array | None) -> float | None:

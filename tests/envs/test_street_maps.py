@@ -36,7 +36,6 @@ IDLE, SLOWER = 1, 4
 
 def road(name: str = MAP, route: int = 0, lane_width: float = 3.25, **rest: Any) -> MapRoad:
     [found] = map_roads_of({"map": name, "route": route, "lane_width": lane_width, **rest})
-    assert found is not None
     return found
 
 

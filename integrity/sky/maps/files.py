@@ -37,9 +37,7 @@ def map_of(name: str) -> StreetMap:
         state = file.stat()
     except OSError as error:
         known = nearest(name, packaged) if packaged else "pass a file"
-        raise InputError(
-            f"map must be a packaged one or a file, got {name!r}: {known}, and generated:SEED"
-        ) from error
+        raise InputError(f"map must be a packaged one or a file, got {name!r}: {known}, and generated:SEED") from error
     return _read(str(file), state.st_mtime_ns, state.st_size)
 
 

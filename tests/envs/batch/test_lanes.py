@@ -14,7 +14,7 @@ from lanebound.envs.batch import lanes_kernel as lk
 from lanebound.envs.batch.lanes import lane_table
 from lanebound.envs.catalogue import world_of
 from lanebound.envs.config import EnvConfig
-from lanebound.envs.worlds.networks import city_loop, winding_road
+from lanebound.envs.worlds.networks import StreetNetwork, city_loop, winding_road
 from lanebound.envs.worlds.paths import SQUARE_M
 from lanebound.integrity.core.frames import wrap_angle
 
@@ -27,6 +27,7 @@ BASES = ("highway-v0", "merge-v1", "roundabout-v1", "intersection-v2", "racetrac
 NETWORKS = {
     "winding": winding_road(1, 3, 3.25),
     "loop": city_loop(3.25),
+    "apart": StreetNetwork.apart([winding_road(k, 2, 3.25) for k in range(8)]),
     "straight": RoadNetwork.straight_road_network(4, speed_limit=30),
     "askew": RoadNetwork.straight_road_network(2, angle=0.3),
 }
@@ -82,7 +83,7 @@ def test_places_on_lanes_and_nearest_lanes_are_the_same(name: str) -> None:
     assert tied <= 6
 
 
-@pytest.mark.parametrize("name", ["winding", "loop"])
+@pytest.mark.parametrize("name", ["winding", "loop", "apart"])
 def test_lanes_of_our_own_have_the_same_bits(name: str) -> None:
     """Straights, arcs and clothoids; highway-env's dynamics see the lane object, the engine's its record."""
     network, rng = NETWORKS[name], np.random.default_rng(3)

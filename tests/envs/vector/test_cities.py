@@ -66,11 +66,11 @@ def test_a_road_measures_alike_at_any_site(monkeypatch: pytest.MonkeyPatch) -> N
     np.testing.assert_allclose(found[0], found[1], rtol=0.0, atol=1e-6)
 
 
-def street_of(seed: int) -> Street:
+def street_of(seed: int, extent_m: float = 60.0) -> Street:
     """The street of a city along the first metres of a road."""
     config = make_config("lanebound/LaneKeeping-v0", {"sky": "dense"})
     network = DrivingEnv(config).world.road.network
-    return build_street(network, config.level, seed, (), 60.0)
+    return build_street(network, config.level, seed, (), extent_m)
 
 
 def cities_of(slots: int) -> Cities:
@@ -85,9 +85,9 @@ def cities_of(slots: int) -> Cities:
     )
 
 
-def city_at(cities: Cities, arc_m: float, seed: int) -> None:
+def city_at(cities: Cities, arc_m: float, seed: int, extent_m: float = 60.0) -> None:
     """The slot at an arc holds the mask of a city."""
-    own = street_of(seed)
+    own = street_of(seed, extent_m)
     n = len(own.mask.rows.cell)
     at = slice(begin := round(arc_m / own.mask.spacing_m), begin + n)
     held, faces = cities.mask, own.mask.faces
@@ -118,6 +118,21 @@ def test_slots_grow_with_the_largest_city() -> None:
     for seed in (7, 8):
         cities.settle(where, np.arange(1), np.array([seed]), np.zeros(1, np.int64))
         city_at(cities, float(where.city[0]), seed)
+
+
+def test_a_shorter_road_leaves_the_rest_of_its_slot_unused() -> None:
+    """A slot that held a city along a longer road holds the next one whole."""
+    table, long = (
+        lane_table(DrivingEnv(make_config("lanebound/LaneKeeping-v0")).world.road.network),
+        street_of(0, 120.0),
+    )
+    where = np.zeros(2 * len(table.index)).reshape(2, -1)
+    sites = Sites(np.zeros(len(table.index), np.int64), *where, long.lanes.count, np.array([NO_SEED, NO_SEED]))
+    cities = Cities(lambda seed, _: street_of(seed, 60.0 if seed % 2 else 120.0), sites, 2, (0, 0), long)
+    here, none = cities.where(1), np.zeros(1, np.int64)
+    for seed in (1, 2, 3, 4, 5):
+        cities.settle(here, none, np.array([seed]), none)
+        city_at(cities, float(here.city[0]), seed, 60.0 if seed % 2 else 120.0)
 
 
 def test_memory_is_that_of_the_episodes_and_not_of_the_cities() -> None:

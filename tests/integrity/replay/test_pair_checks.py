@@ -181,6 +181,15 @@ def test_a_replayed_folder_names_its_files(folder: Path, tmp_path: Path) -> None
         replay_folder(pair, tmp_path / "out")
 
 
+def utc(folder: Path) -> Path:
+    """A track of the car in UTC that also spans the epochs of the rover."""
+    times = np.arange(-20.0, 8.0)
+    places = ROVER + 20.0 * (times[:, None] + 18.0) * AXES[:, 0]
+    rows = [f"{TOW + t:.3f},{','.join(f'{v:.4f}' for v in place)}" for t, place in zip(times, places, strict=True)]
+    (folder / "utc.csv").write_text("\n".join(["GPS time,X,Y,Z", *rows]) + "\n")
+    return folder / "utc.csv"
+
+
 def test_errors_of_a_rover_that_moves_are_counted_against_its_true_positions(folder: Path, tmp_path: Path) -> None:
     """Epochs without a true position are left out; a track 3 m off contradicts every level of the fixed epochs."""
     times = np.arange(0.0, 8.0)
@@ -202,5 +211,9 @@ def test_errors_of_a_rover_that_moves_are_counted_against_its_true_positions(fol
     assert "errors exceed their levels in 5 of 5 fixed epochs" in off["doubt"]
     with pytest.raises(InputError, match=r"--truth must have positions within 0.02 s of epochs .* in GPS time"):
         solve(folder, tmp_path / "c", "car", truth=table(0.0, 0.4))
+    with pytest.raises(InputError, match=r"must be in GPS time, got positions \d+ m off, which fit 18 s earlier"):
+        solve(folder, tmp_path / "e", "car", truth=utc(tmp_path))
+    with pytest.raises(InputError, match=r"near the Earth's surface, got one \d+ km off it"):
+        solve(folder, tmp_path / "f", "car", truth=table(3e6, 0.0))
     with pytest.raises(InputError, match="got both: leave one out"):
         solve(folder, tmp_path / "d", "car", truth=table(0.0, 0.0), rover_ecef_m=ROVER)
