@@ -214,7 +214,9 @@ def _changes(sky: str | None, assignments: list[str] | None) -> dict[str, Any]:
 
 
 def study(
-    name: Annotated[str, typer.Argument(metavar="STUDY", help="One of ours (value_of_integrity), or a YAML file.")],
+    name: Annotated[
+        str, typer.Argument(metavar="STUDY", help="One of ours (cities, value_of_integrity), or a YAML file.")
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the trainings and results; a run is resumed.")],
     jobs: Jobs = 1,
     budget: Budget = None,

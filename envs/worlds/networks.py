@@ -20,14 +20,13 @@ from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.envs.worlds.paths import Path, Piece, Pose, bend, rounded_polygon, straight
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["CITY_SECTIONS", "LAYOUTS", "Section", "StreetNetwork", "advance", "city_loop", "long_road", "node_at",
+__all__ = ["CITY_SECTIONS", "Section", "StreetNetwork", "advance", "city_loop", "long_road", "node_at",
            "winding_road"]  # fmt: skip
 
 Array = NDArray[np.float64]
 Section = tuple[str, str, float, float, str]
 Box = tuple[str, str, list[CurveLane], tuple[float, float, float, float]]
 
-LAYOUTS = 4  # of each kind of road
 APART_M = 10_000.0  # between sites; no signal depends on where a site is
 TURN_LIMIT_RAD = 1.2  # a road that never turns back does not meet itself
 
