@@ -38,7 +38,9 @@ def watch_drift(first: int, last: int, epoch: Epoch) -> None:
         d, fixed, speed, heading = vehicle.drift, w.fixed, epoch.observed[v].speed, vehicle.heading
         walk = walk_of(par.heading.angle_random_walk, heading.p_bb, heading.p_ss, w.turning, rules)
         advance(par.dt, par.dt * speed, w.slip, w.turning, w.resting, walk, rules, d)
-        fold_doppler(par.dt, w.solved and w.hdop_doppler < par.heading.calibration.max_hdop, w.v_e, w.v_n, d)
+        # Carriers drift as RTK does: that they agree with it does not blame the odometer.
+        tested = w.solved and not w.by_carriers and w.hdop_doppler < par.heading.calibration.max_hdop
+        fold_doppler(par.dt, tested, w.v_e, w.v_n, d)
         vehicle.jump.drifts = False
         grow_drift(par.dt, speed, w.sin_h, w.cos_h, vehicle.jump)
         followed = fixed.usable and fixed.lasting and not is_suspicious(vehicle.jump)

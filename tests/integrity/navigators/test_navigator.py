@@ -417,6 +417,20 @@ def test_the_backup_solution_detects_a_position_that_drifts(
     np.testing.assert_allclose(refused_en_m - run.truth_en_m[-1], np.broadcast_to(shift_en_m, (4, 2)), atol=0.2)
 
 
+def test_carriers_do_not_blame_the_odometer_for_a_reference_that_drifts() -> None:
+    """Along the track, within the declared scale: carriers agree with RTK because both drift, and RTK is not believed
+    again after the short quarantine."""
+    creep = Fault(kind="reference_coordinates", start_s=50.0, duration_s=60.0, magnitude_m=3.0, profile="ramp",
+                  ramp_s=20.0, azimuth_deg=float(np.rad2deg(QUADRANTS[0])))  # fmt: skip
+    watched = {"doppler": {"carriers": True}, "rtk": {"drift": {"window_s": 16.0}}}
+    cars = _Cars(_navigator(CALM.replace(positioning=watched), faults=(creep,)))
+    cars.drive(50.0)
+    run = cars.drive(50.0)
+    found = np.logical_or.accumulate(run.alert)
+    assert found[100].all()
+    assert run.alert[found].all()
+
+
 def test_without_a_backup_solution_a_position_that_drifts_is_followed() -> None:
     rtk = CALM.positioning.rtk.replace(backup_s=0.0)
     run = _creeping(0.5, CALM.replace(positioning=CALM.positioning.replace(rtk=rtk)))
