@@ -257,6 +257,18 @@ def test_the_truth_is_not_in_the_observation_before_the_first_street() -> None:
     assert met[1].unusable_s.sum() > met[0].unusable_s.sum()
 
 
+def test_the_first_level_is_drawn_without_what_was_before() -> None:
+    both = [from_west_to_east(20) for _ in range(2)]
+    both[1].state["score"] = 1e9
+    for journeys in both:
+        journeys.step(journeys.masks().argmax(1), journeys.running)
+    np.testing.assert_array_equal(both[0].state, both[1].state)
+    both[1].state["score"] = 1e9  # from then on it is correlated
+    for journeys in both:
+        journeys.step(journeys.masks().argmax(1), journeys.running)
+    assert (both[0].state["score"] != both[1].state["score"]).all()
+
+
 # Cities
 
 
