@@ -118,10 +118,11 @@ def _contents() -> str:
 
 
 def _journey_keys() -> list[list[str]]:
-    """Every key of journeys with its default."""
+    """Every key of journeys with its default, less the one that must keep it."""
     return [
         [f"`{key}`", f"{_plain(value)} {unit if value is not None else ''}".strip(), _without_source(text)]
         for key, value, unit, text in describe(JourneyConfig())
+        if key != "cities.vary"
     ]
 
 

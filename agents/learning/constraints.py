@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.learning.multiplier import Multiplier, MultiplierConfig
 from lanebound.envs.config import EnvConfig
+from lanebound.envs.journeys.config import JourneyConfig
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Constraints", "GroupLimit", "costs_in", "group_limits", "limit_of"]
@@ -61,7 +62,7 @@ def limit_of(given: float | None, env: Any, settings: Mapping[str, Any]) -> floa
         config = env.get_attr("config")[0] if isinstance(env, VecEnv) else env.get_wrapper_attr("config")
     except AttributeError:
         config = None
-    if not isinstance(config, EnvConfig):
+    if not isinstance(config, EnvConfig | JourneyConfig):
         raise InputError(f"cost_limit must be given for {env}, which has no limit of its own: pass cost_limit=25.0")
     return config.cost_limit
 

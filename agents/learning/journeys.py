@@ -133,17 +133,18 @@ def train_journeys(
     config : of the environment
     on_step : told the share of the steps that is done
     """
-    import torch
     from sb3_contrib import MaskablePPO
 
-    torch.set_num_threads(1)
+    from lanebound.agents.learning.training import one_thread
+
     env = JourneyVecEnv(ENVS, config)
 
     def told(local: dict[str, Any], _: dict[str, Any]) -> bool:
         on_step(min(local["self"].num_timesteps / steps, 1.0))
         return True
 
-    model = MaskablePPO("MlpPolicy", env, seed=seed, **PPO_OPTIONS)
-    model.learn(steps, callback=told)
+    with one_thread():
+        model = MaskablePPO("MlpPolicy", env, seed=seed, **PPO_OPTIONS)
+        model.learn(steps, callback=told)
     model.save(path)
     env.close()

@@ -62,7 +62,7 @@ def drive_rows(  # type: ignore[no-untyped-def]
         b = rows[i]
         journey, g = journeys[b], states[b]
         k = actions[b]
-        passed = 0
+        passed, began = 0, journey.edge < 0
         while k >= 0:
             edge, turn_s = option_of(journey, origins[journey.origin], edges, k)
             e = edges[edge]
@@ -70,7 +70,7 @@ def drive_rows(  # type: ignore[no-untyped-def]
             into = ahead[edge, class_of(journey.gap_s, gaps_s)]
             journey.predicted_s += into.lost_s + turn_s * into.risk
             speed = e.limit_mps * paces[b]
-            if journey.edge < 0:  # it has stood: RTK is as likely as the chain has it in the long run
+            if journey.edge < 0:  # it has stood: RTK is as likely as in the long run, by the class of long runs alone
                 turn_s += 0.5 * speed / moves.acceleration_mps2
                 long = own.run_edges.shape[0]
                 free, held = stations[e.first].rtk_after[0, long], stations[e.first].rtk_after[1, long]
@@ -110,14 +110,14 @@ def drive_rows(  # type: ignore[no-untyped-def]
             if ends:
                 journey.arrived = 1
             k = -1 if ends else only_option(e.options)
-        meet_level(journey, g, drawn, table, passed, stations[edges[journey.edge].last - 1].satellites, own)
+        kept = 0.0 if began else own.correlation**passed  # the first score is a draw of N(0, 1)
+        meet_level(journey, g, drawn, table, kept, stations[edges[journey.edge].last - 1].satellites, own)
 
 
 @jit(borrows=True)
-def meet_level(journey, g, drawn, table, passed, satellites, law):  # type: ignore[no-untyped-def]
-    """Draw the level where a journey is, ``passed`` stations after the last one that was drawn."""
+def meet_level(journey, g, drawn, table, kept, satellites, law):  # type: ignore[no-untyped-def]
+    """Draw the level where a journey is; ``kept``: correlation of its score with the last one that was drawn."""
     fill(g, table, drawn)
-    kept = law.correlation**passed
     journey.score = kept * journey.score + math.sqrt(1.0 - kept * kept) * drawn[0]
     share = 0.5 * math.erfc(-ROOT_HALF * journey.score)
     by = float(satellites) if journey.rtk == 1 else journey.gap_s

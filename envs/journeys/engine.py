@@ -10,7 +10,7 @@ from gymnasium.spaces import Box, Discrete, MultiDiscrete
 from numpy.typing import NDArray
 
 from lanebound.envs.journeys.config import Departure, JourneyConfig, Realised
-from lanebound.envs.journeys.course_kernel import class_of, drive_rows, only_option
+from lanebound.envs.journeys.course_kernel import drive_rows, only_option
 from lanebound.envs.journeys.full import FullDrive
 from lanebound.envs.journeys.plan_kernel import HERE, STREET, observe_rows, preview_rows
 from lanebound.envs.journeys.records import CAR, JOURNEY, LAW, MOST_STREETS
@@ -18,6 +18,7 @@ from lanebound.envs.journeys.town import StreetForecast, TownHour, city_hours
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT, named_generator, named_states
+from lanebound.integrity.sky.availability import NO_LEVEL_M
 from lanebound.integrity.sky.journeys.planner import (
     AIR_KGPM3,
     DRAG_M2,
@@ -96,6 +97,8 @@ class Journeys:
     def __init__(self, config: JourneyConfig, count: int, traced: bool = False) -> None:
         self.config, self.count = config, count
         self.state: Records = np.zeros(count, JOURNEY)
+        self.state["host"] = -1  # not begun
+        self._cities: dict[int, tuple[TownHour, ...]] = {}  # of the rows, so that none is built twice while in use
         self.chooses = config.departure is Departure.CHOOSE
         self.choices = MOST_STREETS + (len(config.hours) if self.chooses else 0)
         paces = len(config.speed_classes)
@@ -141,26 +144,29 @@ class Journeys:
             city, hour = int(rng.integers(c.cities.number)), int(rng.integers(len(c.hours)))
             share, self._seeds[b] = rng.random(), int(rng.integers(2**32))
             city = city if into is None else into
-            pairs = self._hours_of(city)[0].town.pairs
+            if city not in self._cities:
+                self._cities[city] = city_hours(SKY, c.map, c.cities.seed_of(city), c.hours)
+            pairs = self._cities[city][0].town.pairs
             origin, goal = pairs[int(share * len(pairs))]
             self.state[b] = np.zeros((), JOURNEY)
             own = self.state[b]
             own["origin"], own["goal"], own["host"], own["edge"] = origin, goal, city, -1
             own["hour"] = -1 if self.chooses else hour
-            own["usable"] = 1
+            own["level_m"] = NO_LEVEL_M  # the navigator starts facing the street that is chosen first
             self._full[b], self._running[b], self.ways[b] = None, True, []
-
-    def _hours_of(self, city: int) -> tuple[TownHour, ...]:
-        c = self.config
-        return city_hours(SKY, c.map, c.cities.seed_of(city), c.hours)
+        used = set(self.state["host"].tolist())
+        self._cities = {city: hours for city, hours in self._cities.items() if city in used}
 
     def at(self, row: int) -> TownHour:
         """City and hour of a row; the first hour where none is chosen yet."""
         own = self.state[row]
-        return self._hours_of(int(own["host"]))[max(int(own["hour"]), 0)]
+        if own["host"] < 0:
+            raise InputError("reset must come before everything else, got no episode: call reset() first")
+        return self._cities[int(own["host"])][max(int(own["hour"]), 0)]
 
     def _groups(self, rows: Ints) -> Iterator[tuple[TownHour, Ints]]:
-        """Rows by city and hour."""
+        """Rows that have begun, by city and hour."""
+        rows = rows[self.state["host"][rows] >= 0]
         keys = self.state["host"][rows] * len(self.config.hours) + np.maximum(self.state["hour"][rows], 0)
         order = np.argsort(keys, kind="stable")
         for own in np.split(rows[order], np.flatnonzero(np.diff(keys[order])) + 1):
@@ -176,7 +182,7 @@ class Journeys:
             edge, origin = self.state["edge"][rows], self.state["origin"][rows]
             options = np.where((edge < 0)[:, None], at.town.origins[origin], at.town.edges["options"][edge])
             out[rows, :MOST_STREETS] = options >= 0
-        departing = self.state["hour"] < 0
+        departing = (self.state["hour"] < 0) & (self.state["host"] >= 0)
         out[departing, :MOST_STREETS], out[departing, MOST_STREETS:] = False, True
         return out
 
@@ -252,18 +258,13 @@ class Journeys:
 
     def _drive_full(self, b: int, at: TownHour, chosen: list[int], pace: float) -> None:
         """The same decisions under the navigator."""
-        town, own = at.town, self.state[b : b + 1]
-        for k in chosen:
-            street = town.edges[k]
-            own["predicted_s"] += at.mapped.ahead["lost_s"][k, class_of(float(own["gap_s"][0]), self._gaps)]
-            own["length_m"] += street["length_m"]
-            speed = pace * street["limit_mps"]
-            own["energy_kwh"] += street["length_m"] * (MOVES["rolling"] + MOVES["drag"] * speed**2)
-        own["edge"], own["arrived"] = chosen[-1], chosen[-1] in town.goals[own["goal"][0]]
+        own = self.state[b : b + 1]
+        ends = chosen[-1] in at.town.goals[own["goal"][0]]
         drive = self._full[b]
         if drive is None:
-            drive = self._full[b] = FullDrive(at, self._seeds[b], self.config.duration_s)
-        drive.drive(chosen, pace, bool(own["arrived"][0]), own)
+            drive = self._full[b] = FullDrive(at, self._seeds[b], self.config.duration_s, MOVES)
+        own["arrived"] = drive.drive(chosen, pace, ends, own) and ends
+        own["edge"] = chosen[-1]
 
     # Observations
 
@@ -272,7 +273,7 @@ class Journeys:
         out = np.zeros((self.count, *self.observation_space.shape), np.float32)
         for at, rows in self._groups(np.arange(self.count)):
             self._observe(at, rows, at.oracle if oracle else at.mapped, out)
-        departing = np.flatnonzero(self.state["hour"] < 0)
+        departing = np.flatnonzero((self.state["hour"] < 0) & (self.state["host"] >= 0))
         if departing.size:
             self._preview(departing, oracle, out)
         return out
@@ -294,7 +295,7 @@ class Journeys:
         out[rows, HERE - 2 : first], out[rows, first] = 0.0, 1.0
         for city in np.unique(self.state["host"][rows]).tolist():
             own = rows[self.state["host"][rows] == city]
-            for k, at in enumerate(self._hours_of(city)):
+            for k, at in enumerate(self._cities[city]):
                 seen, town = at.oracle if oracle else at.mapped, at.town
                 preview_rows(
                     own, self.state, town.origins, town.goals, town.edges, seen.ahead, WEIGHT, *seen[1:],

@@ -75,11 +75,13 @@ class Journey(gymnasium.Env[NDArray[np.float32], Any]):
     quantile of `integrity_aware` over 400 training seeds, rounded up.
 
     ## Starting State
-    At the middle of a street, at rest, with a known position. City, hour, origin and destination are drawn; both places
-    are at least 300 m apart, and of 40 in the city.
+    At the middle of a street, at rest. City, hour, origin and destination are drawn; both places are at least 300 m
+    apart, and of 40 in the city. The navigator starts facing the street that is chosen first: until then `rtk` and
+    `usable` are 0, and `level` is 1, no level.
 
     ## Episode End
-    Terminated on arrival, which a success requires. Truncated at the first junction after 600 s.
+    Terminated on arrival, which a success requires. Truncated at the first junction after 600 s (`duration_s`); with
+    `full` 120 s later at the latest, wherever that is.
 
     ## Arguments
     `realised: fast` draws RTK, usable positions and levels at stations 10 m apart from laws that are fitted on drives
@@ -214,7 +216,7 @@ class VectorJourney(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
             if own is not None or not self.journeys.seeded(row):
                 self.journeys.seed(row, own if own is not None else int(self.np_random.integers(2**31)))
         self.journeys.begin(rows, city)
-        return self.journeys.observe(), _keyed(infos_of(self.journeys, None), self.num_envs)
+        return self.journeys.observe(), _keyed(infos_of(self.journeys, None), np.ones(self.num_envs, dtype=np.bool_))
 
     def step(
         self, actions: NDArray[Any]
@@ -233,14 +235,16 @@ class VectorJourney(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         over = found.arrived | found.late
         final: dict[str, Any] = {}
         if self.mode is AutoresetMode.SAME_STEP and over.any():
-            observed, info = self.journeys.observe(), _keyed(infos_of(self.journeys, found), self.num_envs)
+            observed, info = self.journeys.observe(), _keyed(infos_of(self.journeys, found), over)
             observations = np.full(self.num_envs, None, dtype=object)
             for row in np.flatnonzero(over):
                 observations[row] = observed[row]
             final = {"final_obs": observations, "_final_obs": over, "final_info": info, "_final_info": over}
             again = np.flatnonzero(over)
         self.journeys.begin(again.tolist())
-        infos = _keyed(infos_of(self.journeys, found), self.num_envs) | final
+        fresh = np.isin(np.arange(self.num_envs), again)
+        of_new = JourneyStep(*(np.where(fresh, np.zeros_like(part), part) for part in found))
+        infos = _keyed(infos_of(self.journeys, of_new), np.ones_like(fresh)) | final
         return self.journeys.observe(), rewards_of(self.config, found), found.arrived, found.late, infos
 
     def action_masks(self) -> Flags:
@@ -323,11 +327,10 @@ def _single(infos: Mapping[str, Any]) -> dict[str, Any]:
     return {name: plain(value) for name, value in infos.items()}
 
 
-def _keyed(infos: Mapping[str, Any], count: int) -> dict[str, Any]:
-    """Infos of Gymnasium's vector environments, with who has each entry."""
-    everyone = np.ones(count, dtype=np.bool_)
+def _keyed(infos: Mapping[str, Any], who: Flags) -> dict[str, Any]:
+    """Infos of Gymnasium's vector environments, and ``who`` (N,) has each entry."""
     out: dict[str, Any] = {}
     for name, value in infos.items():
-        out[name] = _keyed(value, count) if isinstance(value, Mapping) else value
-        out[f"_{name}"] = everyone
+        out[name] = _keyed(value, who) if isinstance(value, Mapping) else value
+        out[f"_{name}"] = who
     return out

@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from lanebound.envs.journeys.plan_kernel import plan_routes
 from lanebound.envs.journeys.records import AHEAD, EDGE, MOST_STREETS, STATION
 from lanebound.envs.sky.cache import folder, sources_digest, write
+from lanebound.envs.sky.cities import TEST_CITIES
 from lanebound.envs.sky.level import SkyLevel
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records
@@ -53,7 +54,7 @@ Int8 = NDArray[np.int8]
 
 KEPT = "journeys"  # folder of the cache
 LEAST_APART_M = 300.0  # of the places of a journey
-CITIES = 64  # that are kept in memory, of about 2 MB for each hour and 2 MB for the streets
+CITIES = TEST_CITIES  # that are kept in memory, of about 2 MB for each hour and 2 MB for the streets
 PLACES = 40  # where journeys of a city begin and end; chosen: some 1,200 pairs, and 2 MB of plans for each hour
 
 
@@ -148,12 +149,12 @@ class JourneyTown:
             sky,
         )  # fmt: skip
 
-    def hours(self, mapped: City, hours: Sequence[float], key: str = "") -> tuple[TownHour, ...]:
+    def hours(self, mapped: City, hours: Sequence[float], kept: bool = False) -> tuple[TownHour, ...]:
         """The city at hours of the day, with the forecast of a map.
 
-        key : of a city whose rays may be kept on disk
+        kept : whether rays are kept on disk
         """
-        map_sky, true_sky = self._skies(mapped, key)
+        map_sky, true_sky = self._skies(mapped, kept)
         found = []
         for hour in hours:
             track = SkyTrack.from_config(navigator_at(self.sky, NavigatorConfig(), hour).sky, 60.0)
@@ -166,20 +167,25 @@ class JourneyTown:
             found.append(TownHour(self, hour, stations, self.forecast(map_sky.at(view)), true))
         return tuple(found)
 
-    def _skies(self, mapped: City, key: str) -> tuple[SkyAlong, SkyAlong]:
-        """The sky along the stations by the map and in truth, from disk where it is there."""
-        place = folder(KEPT) if key else None
+    def _skies(self, mapped: City, kept: bool) -> tuple[SkyAlong, SkyAlong]:
+        """The sky along the stations by the map and in truth, from disk where it is there for the same geometry."""
+        place, digest = folder(KEPT) if kept else None, hashlib.blake2b(sources_digest().encode(), digest_size=16)
+        solids = (part for city in (mapped, self.true) for part in (city.triangles_enu_m, city.surface))
+        for array in (self.stations.antenna_enu_m, self.stations.covered, *solids):
+            digest.update(repr((array.shape, array.dtype.str)).encode() + array.tobytes())
+        key, bins = digest.hexdigest(), cells_of(AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG)
+        shape = len(self.stations.part_m), 1, bins[0] * bins[1]
         with suppress(OSError, EOFError, KeyError, ValueError, BadZipFile, zlib.error):
             if place is not None:
                 with np.load(place / f"{key}.npz", allow_pickle=False) as data:
-                    shape = tuple(data["shape"])
+                    if tuple(data["shape"]) != shape:
+                        raise ValueError(f"shape must be {shape}, got {tuple(data['shape'])}")
                     both = [np.unpackbits(data[n], count=np.prod(shape)).reshape(shape) > 0 for n in ("mapped", "true")]
-                bins = cells_of(AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG)
                 a, b = (SkyAlong(self.stations, SkyForecast(free, *bins, SPACING_M)) for free in both)
                 return a, b
         a, b = (SkyAlong.of(self.stations, city) for city in (mapped, self.true))
         packed = {name: np.packbits(one.forecast.free) for name, one in (("mapped", a), ("true", b))}
-        write(place, key, shape=np.array(a.forecast.free.shape), **packed)
+        write(place, key, shape=np.array(shape), **packed)
         return a, b
 
     def forecast(self, seen: StreetPrediction) -> StreetForecast:
@@ -316,6 +322,5 @@ def _edges(graph: StreetGraph, stations: EdgeStations) -> Records:
 def city_hours(sky: str, errors: MapConfig, seed: int, hours: tuple[float, ...]) -> tuple[TownHour, ...]:
     """The generated city of a seed at hours of the day, for journeys; the last ones are kept."""
     town = generated_town(sky, errors, 0, seed)
-    digest = hashlib.blake2b(repr((sources_digest(), sky, errors.to_json(), seed)).encode(), digest_size=16)
     cut = JourneyTown.of(town, sky, named_generator(seed, "places"))
-    return cut.hours(town.mapped, hours, digest.hexdigest())
+    return cut.hours(town.mapped, hours, kept=True)

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 
-__all__ = ["CitiesConfig", "Split"]
+__all__ = ["TEST_CITIES", "CitiesConfig", "Split"]
 
 TRAIN_CITIES = 2**31  # seeds 0 to 2^31 - 1
 TEST_CITIES = 100  # seeds 2^31 to 2^31 + 99; never used for tuning, nor for a shipped policy

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -17,7 +20,10 @@ from two_routes import EAST, OPEN_M, TUNNEL_M, WEST, place_at, two_routes
 
 import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.agents.drivers.journeys import JOURNEY_DRIVERS
-from lanebound.envs.journeys import engine
+from lanebound.agents.learning.journeys import JourneyVecEnv
+from lanebound.agents.learning.ppo_lagrangian import PPOLagrangian
+from lanebound.envs.journeys import engine, full
+from lanebound.envs.journeys import town as towns
 from lanebound.envs.journeys.config import JourneyConfig
 from lanebound.envs.journeys.engine import Journeys, columns
 from lanebound.envs.journeys.env import Journey, VectorJourney
@@ -205,6 +211,37 @@ def test_levels_lie_in_the_quantiles_of_their_state() -> None:
         assert own["level_m"] in law.levels[own["rtk"], own["usable"]]
 
 
+def observed(count: int, hours: tuple[TownHour, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any, set[int]]:
+    """All observations under the fastest driver in a city, those with its true sky, and the streets driven."""
+    with monkeypatch.context() as patch:
+        patch.setattr(engine, "city_hours", lambda sky, errors, seed, of: hours)
+        journeys = from_west_to_east(count)
+    journeys.traced = True
+    driver, seen, true = JOURNEY_DRIVERS["fastest"](journeys, journeys.config), [], []
+    while journeys.running.any():
+        seen.append(journeys.observe())
+        true.append(journeys.oracle_observation())
+        journeys.step(driver.act(seen[-1]), journeys.running)
+    return np.array([*seen, journeys.observe()]), np.array(true), {k for way in journeys.ways for k in way}
+
+
+def test_the_truth_of_streets_that_are_not_driven_is_in_no_observation(monkeypatch: pytest.MonkeyPatch) -> None:
+    light, dark = two_routes()[0], two_routes(dark=True)[0]
+    seen, true, driven_streets = observed(20, (light,) * 2, monkeypatch)
+    edges, of_way = light.town.edges, np.zeros(light.stations.size, dtype=np.bool_)
+    for k in driven_streets:
+        of_way[edges["first"][k] : edges["last"][k]] = True
+    assert of_way.any()
+    assert not of_way.all()
+    other = replace(dark, stations=np.where(of_way, light.stations, dark.stations))
+    assert (other.stations != light.stations).any()
+    again, dark_true, _ = observed(20, (other,) * 2, monkeypatch)
+    np.testing.assert_array_equal(again, seen)
+    assert (dark_true != true).any()
+    of_dark = observed(20, (dark,) * 2, monkeypatch)[0]  # the truth of streets that are driven is met
+    assert of_dark.shape != seen.shape or (of_dark != seen).any()
+
+
 def test_the_truth_is_not_in_the_observation_before_the_first_street() -> None:
     light, dark = (Journeys(JourneyConfig.load(CONFIG | {"cities": {"count": 2}}), 8) for _ in range(2))
     for journeys, city in ((light, 0), (dark, 1)):
@@ -213,12 +250,109 @@ def test_the_truth_is_not_in_the_observation_before_the_first_street() -> None:
         journeys.begin(range(8), city)
     np.testing.assert_array_equal(light.observe(), dark.observe())
     assert (light.oracle_observation() != dark.oracle_observation()).any()
+    for name, none in (("rtk", 0.0), ("usable", 0.0), ("level", 1.0)):  # the navigator has not started
+        assert (entry(light.config, light.observe(), name) == none).all()
     first = light.masks().argmax(1)
     met = [one.step(first, np.ones(8, dtype=np.bool_)) for one in (light, dark)]
     assert met[1].unusable_s.sum() > met[0].unusable_s.sum()
 
 
+def test_the_first_level_is_drawn_without_what_was_before() -> None:
+    both = [from_west_to_east(20) for _ in range(2)]
+    both[1].state["score"] = 1e9
+    for journeys in both:
+        journeys.step(journeys.masks().argmax(1), journeys.running)
+    np.testing.assert_array_equal(both[0].state, both[1].state)
+    both[1].state["score"] = 1e9  # from then on it is correlated
+    for journeys in both:
+        journeys.step(journeys.masks().argmax(1), journeys.running)
+    assert (both[0].state["score"] != both[1].state["score"]).all()
+
+
+# Cities
+
+
+def test_a_city_is_built_once_while_it_is_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    built: list[int] = []
+
+    def counted(sky: str, errors: Any, seed: int, hours: Any) -> tuple[TownHour, ...]:
+        built.append(seed)
+        return two_routes()
+
+    monkeypatch.setattr(engine, "city_hours", counted)
+    journeys = Journeys(JourneyConfig.load(CONFIG | {"cities": {"count": 100}}), 200)
+    for row in range(200):
+        journeys.seed(row, row)
+    journeys.begin(range(200))
+    cities = set(journeys.state["host"].tolist())
+    assert len(cities) > 64
+    assert sorted(built) == sorted(cities)
+    for _ in range(3):
+        journeys.step(journeys.masks().argmax(1), journeys.running)
+        journeys.observe()
+    assert len(built) == len(cities)
+    journeys.begin(range(200), 3)
+    assert list(journeys._cities) == [3]  # what is not in use is not held
+
+
+def test_a_true_sky_is_made_once_while_a_journey_holds_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    of = full.SkyMask.of_stations
+
+    def counted(*of_sky: Any) -> Any:
+        made.append(1)
+        return of(*of_sky)
+
+    monkeypatch.setattr(full.SkyMask, "of_stations", staticmethod(counted))
+    own = replace(two_routes()[0], town=replace(two_routes()[0].town))
+    first = FullDrive(own, 0, 60.0, engine.MOVES)
+    full._sky_of.cache_clear()  # as if others had been in use since
+    second = FullDrive(own, 1, 60.0, engine.MOVES)
+    assert first._mask is second._mask
+    del first, second
+    full._sky_of.cache_clear()
+    gc.collect()
+    FullDrive(own, 2, 60.0, engine.MOVES)
+    assert len(made) == 2
+
+
+def test_rays_on_disk_are_those_of_the_same_stations_and_solids(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cast: list[int] = []
+    of = towns.SkyAlong.of
+
+    def counted(stations: Any, city: Any) -> Any:
+        cast.append(len(city))
+        return of(stations, city)
+
+    monkeypatch.setattr(towns, "folder", lambda name: tmp_path)
+    monkeypatch.setattr(towns.SkyAlong, "of", staticmethod(counted))
+    own, other = two_routes()[0].town, two_routes(dark=True)[0].town
+    first = own.hours(own.true, (3.0,), kept=True)[0]
+    assert len(cast) == 2
+    again = own.hours(own.true, (3.0,), kept=True)[0]
+    assert len(cast) == 2
+    np.testing.assert_array_equal(again.stations, first.stations)
+    other.hours(own.true, (3.0,), kept=True)  # the same map, another truth
+    moved = replace(own.stations, place_en_m=own.stations.place_en_m + 1.0)
+    replace(own, stations=moved).hours(own.true, (3.0,), kept=True)
+    assert len(cast) == 6
+    for file in tmp_path.glob("*.npz"):
+        with np.load(file) as data:
+            np.savez(file, **{**data, "shape": data["shape"] - [1, 0, 0]})
+    own.hours(own.true, (3.0,), kept=True)
+    assert len(cast) == 8
+
+
 # Gymnasium
+
+
+def test_a_learner_takes_the_limit_of_the_environment() -> None:
+    env = JourneyVecEnv(2, CONFIG | {"cost_limit": 12.5})
+    model = PPOLagrangian("MlpPolicy", env, device="cpu", n_steps=8, batch_size=16, n_epochs=1)
+    model.learn(16)
+    assert model.constraints.limits == [12.5]
 
 
 def test_checkers_of_gymnasium_and_stable_baselines_accept_it() -> None:
@@ -250,10 +384,20 @@ def test_single_and_vector_environments_have_the_same_bits(mode: AutoresetMode, 
                 done |= cut
                 if done and mode is AutoresetMode.SAME_STEP:
                     np.testing.assert_array_equal(infos["final_obs"][row], own)
-                    assert infos["final_info"]["time_s"][row] == info["time_s"]
-                    own = env.reset()[0]
+                    for name in ("time_s", "cost", "is_success", "unusable_s", "invalid_action"):
+                        assert infos["final_info"][name][row] == info[name]
+                        assert infos["final_info"][f"_{name}"][row]
+                    assert infos["final_info"]["rewards"]["time"][row] == info["rewards"]["time"]
+                    own, info = env.reset()
+                    for name in ("time_s", "cost", "is_success", "unusable_s", "invalid_action", "city"):
+                        assert infos[name][row] == info[name]
+                    assert infos["rewards"]["time"][row] == 0.0
                 elif not done:
                     assert infos["unusable_s"][row] == info["unusable_s"]
+                    assert infos["cost"][row] == info["cost"]
+                    if "final_info" in infos:
+                        assert not infos["_final_info"][row]
+                        assert not infos["final_info"]["_cost"][row]
             np.testing.assert_array_equal(own, observed[row])
             assert rewards[row] == reward
             assert done == (terminated[row] | truncated[row])
@@ -287,26 +431,29 @@ def test_rewards_and_costs_are_sums_of_what_is_met() -> None:
 
 
 def test_masks_lead_into_streets_and_other_actions_take_the_nearest_one() -> None:
-    env = Journey(CONFIG)
+    env, twin = Journey(CONFIG), Journey(CONFIG)
     _, info = env.reset(seed=5)
-    while True:
+    twin.reset(seed=5)
+    rng, replaced, ended = np.random.default_rng(0), 0, 0
+    while ended < 3:
         mask = info["action_mask"]
         np.testing.assert_array_equal(mask, env.action_masks())
         exists = [entry(env.config, env.journeys.observe()[0], f"street{k}_exists") for k in range(MOST_STREETS)]
         np.testing.assert_array_equal(mask, np.array(exists) == 1.0)
-        if not mask[3]:
-            before = env.journeys.state.copy()
-            _, _, over, cut, info = env.step(3)
-            assert info["invalid_action"]
-            taken = Journeys(env.config, 1)
-            taken.seed(0, 5)
-            taken.begin([0])
-            assert before["edge"][0] != env.journeys.state["edge"][0]
-        else:
-            _, _, over, cut, info = env.step(3)
-            assert not info["invalid_action"]
+        action = int(rng.integers(MOST_STREETS))
+        nearest = min(np.flatnonzero(mask).tolist(), key=lambda k: (abs(k - action), k))
+        observation, reward, over, cut, info = env.step(action)
+        assert info["invalid_action"] == (action != nearest)
+        replaced += action != nearest
+        expected, own, *_ = twin.step(nearest)
+        np.testing.assert_array_equal(observation, expected)
+        assert reward == own
         if over or cut:
-            break
+            ended += 1
+            if ended < 3:
+                _, info = env.reset()
+                twin.reset()
+    assert replaced > 5
     with pytest.raises(InputError, match="reset"):
         env.step(0)
 
@@ -432,6 +579,44 @@ def test_the_car_does_not_jump_where_a_street_is_added(monkeypatch: pytest.Monke
     np.testing.assert_allclose(v0[1:], v1[:-1], atol=0.1)
     assert len(places) == 200 + round(float(state["time_s"][0]) / 0.1)
     np.testing.assert_allclose(np.linalg.norm(after - before, axis=1), 0.05 * (v0 + v1), atol=0.05)
+
+
+def test_both_engines_count_a_street_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    entered: list[Any] = []
+    enter = FullDrive._enter
+
+    def spied(self: FullDrive, journey: Any) -> None:
+        before, last = journey.copy(), self._edges[self._entered - 1] if self._entered else -1
+        enter(self, journey)
+        entered.append((before, last, self._edges[self._entered - 1], journey.copy()))
+
+    monkeypatch.setattr(FullDrive, "_enter", spied)
+    state = driven(from_west_to_east(1, {"realised": "full"}), "shortest")
+    at, fast = two_routes()[0], from_west_to_east(1)
+    assert entered[-1][3]["predicted_s"] == state["predicted_s"][0]
+    alone = 0
+    for before, last, street, after in entered[1:]:
+        fast.state[0] = before
+        fast.state["edge"], fast.state["arrived"], fast._running[:] = last, 0, True
+        choice = at.town.edges["options"][last].tolist().index(street)
+        if fast._streets(0, at, choice) != [street]:
+            continue
+        fast.step(np.array([choice]), np.ones(1, dtype=np.bool_))
+        for name in ("predicted_s", "length_m", "energy_kwh"):
+            assert fast.state[name][0] == pytest.approx(after[name], rel=1e-12)
+        alone += before["gap_s"] > 0.0
+    assert alone > 0
+
+
+def test_a_slow_journey_of_the_navigator_is_cut_before_its_sky_ends() -> None:
+    journeys = from_west_to_east(1, {"realised": "full", "speed_classes": [0.2], "duration_s": 80.0})
+    driver = JOURNEY_DRIVERS["shortest"](journeys, journeys.config)
+    while journeys.running.any():
+        found = journeys.step(driver.act(journeys.observe()), journeys.running)
+    assert found.late[0]
+    assert not found.arrived[0]
+    assert journeys.state["time_s"][0] == pytest.approx(200.0, abs=0.15)  # in the tunnel of 400 m, at 2 m/s
+    assert journeys.state["length_m"][0] < TUNNEL_M + 300.0
 
 
 def test_journeys_of_the_navigator_are_the_same_again() -> None:

@@ -6,7 +6,10 @@ import json
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from lanebound.integrity.core.splines import _penalty
+from lanebound.integrity.sky.availability import Fit
 from lanebound.integrity.sky.journeys.realised import (
     GAP_EDGES_S,
     RUN_EDGES,
@@ -16,6 +19,8 @@ from lanebound.integrity.sky.journeys.realised import (
     _runs,
     packaged_law,
 )
+
+Array = NDArray[np.float64]
 
 KEEPS, COMES, USED = 0.9, 0.2, 0.7  # probability that RTK stays, that it comes, that a position is usable
 
@@ -38,16 +43,44 @@ def law() -> RealisedLaw:
     return RealisedLaw.fitted([driven(seed) for seed in range(100)])
 
 
+def allowed(fit: Fit, share: float, rows: Array, at: Array) -> Array:
+    """Four standard errors of a share that a regression on samples (n, 2) finds at points (m, 2)."""
+    columns, own, weight = fit.basis.at(*rows.T), fit.basis.at(*at.T), share * (1.0 - share)
+    spread = np.linalg.inv(weight * columns.T @ columns + np.diag(_penalty(columns)))
+    return 4.0 * weight * np.sqrt(np.einsum("ij,jk,ik->i", own, spread, own))
+
+
 def test_a_fit_finds_the_probabilities_of_a_known_chain(law: RealisedLaw) -> None:
-    found = law.at(np.array([10.0, 20.0]), np.array([2.0, 3.0]))
-    # within four standard errors of a share of 1000 samples, fewer than there are: fails by chance once in 1000 runs
-    most = 4.0 * np.sqrt(0.25 / 1000.0)
-    np.testing.assert_allclose(found.rtk_after[:, 0], COMES, atol=most)
-    np.testing.assert_allclose(found.rtk_after[:, 1], KEEPS, atol=most)
-    np.testing.assert_allclose(found.usable_after[:, 1], USED, atol=2.0 * most)
+    ways = [driven(seed) for seed in range(100)]
+    number, pdop, gap, rtk = (
+        np.concatenate([getattr(way, name)[1:] for way in ways]) for name in ("satellites", "pdop", "gap_s", "rtk")
+    )
+    had, had_run, used, used_run = (
+        np.concatenate([of[:-1] for of in each])
+        for name in ("rtk", "usable")
+        for each in ([getattr(way, name) for way in ways], [_runs(getattr(way, name)) for way in ways])
+    )
+    seen, bridging = np.stack([number, np.log(pdop)], -1), np.stack([number, np.log1p(gap)], -1)
+    points = np.array([10.0, 20.0]), np.array([2.0, 3.0])
+    found, at = law.at(*points), np.stack([points[0], np.log(points[1])], -1)
     table = law.bridged_table()
     assert table.shape == (2, RUNS, 64, GAP_EDGES_S.size + 1)
-    np.testing.assert_allclose(table[1, -1, 6:29, 2:9], USED, atol=3.0 * most)
+    cells = [(n, c) for n in range(6, 29) for c in range(2, 9)]
+    middles = np.array([(n, np.log1p(np.sqrt(GAP_EDGES_S[c - 1] * GAP_EDGES_S[c]))) for n, c in cells])
+    compared = 0
+    for run in range(RUNS):
+        for was in (0, 1):
+            in_use = (used == was) & (used_run == run)
+            for fits, values, share, own, rows, where in (
+                (law.rtk, found.rtk_after[:, was, run], (COMES, KEEPS)[was], (had == was) & (had_run == run), seen, at),
+                (law.usable, found.usable_after[:, was, run], USED, rtk & in_use, seen, at),
+                (law.bridged, [table[was, run, n, c] for n, c in cells], USED, ~rtk & in_use, bridging, middles),
+            ):
+                if own.sum() > 200:  # of most, thousands
+                    most = allowed(fits[was][run], share, rows[own], where)
+                    assert (np.abs(np.array(values) - share) <= most).all()
+                    compared += 1
+    assert compared >= 18  # of 24; positions are lost for eight stations in a row hardly ever
 
 
 def test_below_five_satellites_there_is_no_rtk(law: RealisedLaw) -> None:
