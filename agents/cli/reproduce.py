@@ -145,7 +145,8 @@ def map_matching(
 
     Example: lanebound reproduce map-matching --out out/matching --map berlin_kreuzberg --map Helsinki.osm.pbf
     """
-    from lanebound.agents.studies.map_matching import MapMatchingConfig, run_map_matching, shown
+    from lanebound.agents.studies.map_matching import run_map_matching, shown
+    from lanebound.agents.studies.matched_drives import MapMatchingConfig
 
     config = MapMatchingConfig.load(changes(assignments, maps=maps, drives=drives))
     result = carry_out(out, "part", lambda report: run_map_matching(config, out, jobs, report), "drives")

@@ -28,6 +28,7 @@ from lanebound.agents.report.pages import Table
 from lanebound.agents.studies.recorded_prediction import (
     RecordedPredictionConfig,
     compared,
+    passage_rows,
     read_recorded,
     recorded_figure,
     recorded_rows,
@@ -389,6 +390,7 @@ def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
             f"GPS satellites of the recorded drive: received less predicted by its city model, {found['epochs']} places"
         )
         yield title, recorded_rows(found)
+        yield "The same by passage through the model, without errors of heights", passage_rows(found)
         yield "Received satellites by what the model predicts", sight_rows(found)
 
 

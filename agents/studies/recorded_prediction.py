@@ -79,6 +79,7 @@ class RecordedSky(NamedTuple):
     above : (E, S) a message is valid and the elevation is above the mask
     prn : (S,)
     misfit_m : largest distance of a recorded satellite position from that of the messages
+    passage : (E,) number of the passage; between two of them the drive was near the edge of the model or outside
     """
 
     time_s: Array
@@ -88,6 +89,7 @@ class RecordedSky(NamedTuple):
     above: Bools
     prn: NDArray[np.int64]
     misfit_m: float
+    passage: NDArray[np.int64]
 
 
 def read_recorded(folder: Path, config: RecordedPredictionConfig) -> tuple[RecordedSky, City]:
@@ -132,7 +134,10 @@ def read_recorded(folder: Path, config: RecordedPredictionConfig) -> tuple[Recor
         at = np.flatnonzero(chosen == row)
         cn0[at, np.flatnonzero(names == number)] = value
     antennas = np.insert(place[chosen], 2, config.antenna_m, 1)
-    return RecordedSky(epochs[chosen], antennas, los, cn0, above, names, misfit), model.city
+    lat, lon, _ = geodetic_from_ecef(drive.truth.position_ecef_m)
+    out = _inside_m(model.city, model.frame.en_of(np.degrees(lat), np.degrees(lon))) < config.inside_m
+    _, passage = np.unique(np.searchsorted(drive.truth.time_s[out], epochs[chosen]), return_inverse=True)
+    return RecordedSky(epochs[chosen], antennas, los, cn0, above, names, misfit, passage), model.city
 
 
 def _inside_m(city: City, place_en_m: Array) -> Array:
@@ -206,7 +211,7 @@ def compared(sky: RecordedSky, city: City, config: RecordedPredictionConfig) -> 
     by_error: list[dict[str, Any]] = []
     for sigma in config.height_sigmas_m:
         rng = named_generator([config.seed, round(1000.0 * sigma)], "map")
-        errors = MapConfig(height_sigma_m=sigma)
+        errors = MapConfig(height_sigma_m=sigma, position_sigma_m=0.0)
         cities = [as_mapped(city, errors, rng) for _ in range(config.draws)] if sigma else [city]
         each = np.array([predicted(sky, one) for one in cities])
         by_error += [
@@ -217,6 +222,11 @@ def compared(sky: RecordedSky, city: City, config: RecordedPredictionConfig) -> 
     return {
         "epochs": sky.time_s.size, "satellites": int(sky.above.sum()), "misfit_m": sky.misfit_m,
         "differences": by_error,
+        "passages": [
+            {"passage": int(k), "places": int((sky.passage == k).sum()), "cn0_dbhz": least}
+            | _differences(_during(sky, k), sight[None, sky.passage == k], least)
+            for k in np.unique(sky.passage) for least in config.least_cn0_dbhz
+        ],
         "cn0_dbhz": {
             name: {
                 "pairs": int((kind & sky.above).sum()), "received": int((kind & received).sum()),
@@ -230,6 +240,15 @@ def compared(sky: RecordedSky, city: City, config: RecordedPredictionConfig) -> 
             **{f"{least:g}": (received & (sky.cn0_dbhz >= least)).sum(1).tolist() for least in config.least_cn0_dbhz},
         },
     }  # fmt: skip
+
+
+def _during(sky: RecordedSky, passage: int) -> RecordedSky:
+    """The places of one passage."""
+    own = sky.passage == passage
+    return sky._replace(
+        time_s=sky.time_s[own], place_enu_m=sky.place_enu_m[own], los_enu=sky.los_enu[own], cn0_dbhz=sky.cn0_dbhz[own],
+        above=sky.above[own], passage=sky.passage[own],
+    )  # fmt: skip
 
 
 def _differences(sky: RecordedSky, sight: Bools, least: float) -> dict[str, float | None]:
@@ -255,17 +274,27 @@ def _differences(sky: RecordedSky, sight: Bools, least: float) -> dict[str, floa
     }  # fmt: skip
 
 
+def _cells(d: Mapping[str, Any]) -> tuple[str, ...]:
+    """Threshold of C/N0 and differences."""
+    return (
+        f"{d['cn0_dbhz']:g} dB-Hz" if d["cn0_dbhz"] else "all", f"{d['mean']:+.1f}", f"{d['mean_abs']:.1f}",
+        f"{d['most']:.0f}", *("-" if d[key] is None else f"{d[key]:.2f}" for key in ("pdop", "pdop_median")),
+        f"{100.0 * d['without']:.0f} %", f"{100.0 * d['agree']:.0f} %",
+    )  # fmt: skip
+
+
+HEADS = "received from", "mean", "mean abs", "most", "PDOP abs", "median", "no position", "pairs agree"
+
+
 def recorded_rows(found: Mapping[str, Any]) -> Table:
     """Differences by error of the model and by threshold of C/N0."""
-    heads = ("error of heights", "received from", "mean", "mean abs", "most", "PDOP abs", "median", "no position",
-             "pairs agree")  # fmt: skip
-    return heads, [
-        (f"{d['sigma_m']:g} m", f"{d['cn0_dbhz']:g} dB-Hz" if d["cn0_dbhz"] else "all", f"{d['mean']:+.1f}",
-         f"{d['mean_abs']:.1f}", f"{d['most']:.0f}",
-         *("-" if d[key] is None else f"{d[key]:.2f}" for key in ("pdop", "pdop_median")),
-         f"{100.0 * d['without']:.0f} %", f"{100.0 * d['agree']:.0f} %")
-        for d in found["differences"]
-    ]  # fmt: skip
+    return ("error of heights", *HEADS), [(f"{d['sigma_m']:g} m", *_cells(d)) for d in found["differences"]]
+
+
+def passage_rows(found: Mapping[str, Any]) -> Table:
+    """Differences of each passage through the model as it is: the places of one are neighbours."""
+    rows = [(str(d["passage"] + 1), str(d["places"]), *_cells(d)) for d in found["passages"]]
+    return ("passage", "places", *HEADS), rows
 
 
 def sight_rows(found: Mapping[str, Any]) -> Table:

@@ -9,11 +9,12 @@ threshold warns. The methods are published with tables that S5 does not repeat, 
 - ``velaga``: Velaga 2010 and 2012. The same residuals, the lead of the matcher's weight over the second best link, and
   two systems by the complexity of the roads around. That its first test is RAIM is left to the first phase.
 - ``jabbour``: Jabbour et al. 2008. The number of efficient hypotheses, ``1 / sum w^2``, and the normalised innovation
-  squared of the matched link. The hypotheses are those of the hidden Markov filter. Two thresholds become one score:
-  the innovation passes a test of 1e-3, and the score falls with the number of hypotheses. They match the most probable
-  hypothesis; the score of another link is smaller by the ratio of both probabilities.
+  squared of the matched link, without an error of the map. The hypotheses are those of the hidden Markov filter. Two
+  thresholds become one score: the innovation passes a test of 1e-3, and the score falls with the number of hypotheses.
+  They match the most probable hypothesis; the score of another link is smaller by the ratio of both probabilities.
 - ``yu``: Yu et al. 2006. The curve of the last positions against that of the matched points: what remains between them
-  after a shift, over the extent of the first one. They restart after a mismatch; here it is only detected.
+  after a shift, over the extent of the first one; without errors of position and map. They restart after a mismatch;
+  here it is only detected.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def make_score(
     Parameters
     ----------
     matching : candidates and weights, as of the matcher
-    map_sigma_m : 1 sigma of the map on one axis
+    map_sigma_m : 1 sigma of the map on one axis; ``quddus`` and ``velaga`` consider it
     intervals : N, epochs of the curves of ``yu``
     """
     match kind:
@@ -89,7 +90,7 @@ def make_score(
         case ScoreKind.VELAGA:
             return VelagaScore(road_map, matching, map_sigma_m, batch)
         case ScoreKind.JABBOUR:
-            return JabbourScore(road_map, matching, map_sigma_m, batch)
+            return JabbourScore(road_map, matching, batch)
         case ScoreKind.YU:
             return YuScore(intervals, batch)
 
@@ -172,8 +173,8 @@ class VelagaScore:
 class JabbourScore:
     """``100 / N_eff`` of the hypotheses, times ``w / w_max`` of the matched link, if its innovation is likely."""
 
-    def __init__(self, road_map: RoadMap, matching: MatchingConfig, map_sigma_m: float, batch: int) -> None:
-        self._hypotheses, self.map_sigma_m = HiddenMarkovMatcher(road_map, matching, batch), map_sigma_m
+    def __init__(self, road_map: RoadMap, matching: MatchingConfig, batch: int) -> None:
+        self._hypotheses = HiddenMarkovMatcher(road_map, matching, batch)
 
     @property
     def memory(self) -> Memory:
@@ -191,8 +192,7 @@ class JabbourScore:
         own = np.where(self.memory["link"][rows] == match.link[:, None], weight, 0.0).max(-1)
         share = np.square(weight).sum(-1) * own / np.maximum(weight.max(-1), 1e-9)  # 1 / N_eff, and the ratio
         distance, angle = _residuals(match, inputs)
-        innovation = np.square(distance) / (np.square(inputs.sigma_m) + self.map_sigma_m**2)
-        innovation = innovation + np.square(np.deg2rad(angle) / HEADING_SIGMA_RAD)
+        innovation = np.square(distance / inputs.sigma_m) + np.square(np.deg2rad(angle) / HEADING_SIGMA_RAD)
         return _scored(match, np.where(innovation <= INNOVATION_GATE, 100.0 * share, 0.0))
 
     def forget(self, rows: Rows) -> None:
@@ -203,29 +203,24 @@ class JabbourScore:
 class YuScore:
     """``100 (1 - residual / extent)`` of the last N + 1 positions and matched points; 0 with fewer than three of them.
 
-    ``memory``: curves (B, N + 1, 4) positions and matched points, the newest last; sigma_m (B, N + 1) of the positions;
-    count (B,) of them
+    ``memory``: curves (B, N + 1, 4) positions and matched points, the newest last; count (B,) of them
     """
 
     def __init__(self, intervals: int, batch: int) -> None:
         points = max(intervals, 2) + 1
-        self.memory: Memory = {
-            "curves": np.zeros((batch, points, 4)), "sigma_m": np.zeros((batch, points)),
-            "count": np.zeros(batch, np.int64),
-        }  # fmt: skip
+        self.memory: Memory = {"curves": np.zeros((batch, points, 4)), "count": np.zeros(batch, np.int64)}
 
     def step(self, match: MapMatches, inputs: MatchInputs, rows: Rows = EVERY) -> Array:
         """See the protocol."""
         matched = match.link != NO_LINK
         here = np.where(matched[:, None], np.concatenate([inputs.position_en_m, match.foot_en_m], -1), 0.0)
-        curves, sigma, count = (self.memory[name][rows] for name in ("curves", "sigma_m", "count"))
+        curves, count = self.memory["curves"][rows], self.memory["count"][rows]
         curves = np.concatenate([curves[:, 1:], here[:, None]], 1)
-        sigma = np.concatenate([sigma[:, 1:], np.where(matched, inputs.sigma_m, 0.0)[:, None]], 1)
         count = np.where(matched, np.minimum(count + 1, curves.shape[1]), 0)
-        self.memory["curves"][rows], self.memory["sigma_m"][rows], self.memory["count"][rows] = curves, sigma, count
+        self.memory["curves"][rows], self.memory["count"][rows] = curves, count
         seen = np.arange(curves.shape[1])[::-1] < count[:, None]
         share = seen / np.maximum(count, 1)[:, None]
-        extent = _scatter(curves[..., :2], share) + np.sum(share * np.square(sigma), -1)
+        extent = _scatter(curves[..., :2], share)
         residual = _scatter(curves[..., :2] - curves[..., 2:], share)
         likeness = 1.0 - np.sqrt(residual / np.maximum(extent, 1e-12))
         return np.where(count > 2, 100.0 * np.clip(likeness, 0.0, 1.0), 0.0)

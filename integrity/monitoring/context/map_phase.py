@@ -9,12 +9,14 @@ exceeds its bound of 8 m at every epoch; ``printed_allowance`` computes it never
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
 from lanebound.integrity.monitoring.context.fuzzy import RuleBase, s5_rules
@@ -27,6 +29,8 @@ __all__ = ["MapPhase", "MapPhaseConfig", "MapTest"]
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+S5_THRESHOLD = 71.0  # of its score; S5 section 4.3, figure 8
+
 
 class MapPhaseConfig(Config):
     """The third phase; S5 sections 3.3, 4.2 and 5."""
@@ -34,16 +38,33 @@ class MapPhaseConfig(Config):
     score: ScoreKind = Field(
         ScoreKind.CONTEXT, description="context (S5), quddus, velaga, jabbour or yu; each needs a threshold of its own"
     )
-    threshold: float = Field(71.0, ge=0, le=100, description="score below which the driver is warned; S5 section 4.3")
+    threshold: float | None = Field(
+        None, ge=0, le=100, description="score below which the driver is warned; default of context 71 (S5 section 4.3)"
+    )
     intervals: int = Field(10, ge=1, le=600, description="N, over which distances are summed [epochs]; as in phase 2")
     printed_allowance: bool = Field(False, description="subtract errors of position and map as in S5 eq 10")
     map_sigma_m: float = Field(
-        5.0, ge=0, description="error of the map for printed_allowance and the other scores [m]; chosen"
+        5.0, ge=0, description="error of the map for printed_allowance, quddus and velaga [m]; chosen"
     )
     least_probability: float = Field(
         0.0, ge=0, le=1, description="least probability of the matched link [-]; 0: as S5, which has none"
     )
     rules: RuleBase = Field(default_factory=s5_rules, description="the fuzzy system, or the name of its preset")
+
+    @model_validator(mode="after")
+    def _other_scores_have_a_threshold(self) -> Self:
+        # Those of S5 Table 6 (Quddus 70, Velaga 82) warn of all and of a fifth of the right points by these readings.
+        if self.threshold is None and self.score is not ScoreKind.CONTEXT:
+            raise ConfigError(
+                f"threshold must be given with score = {self.score}, got none: the 71 of S5 is of its own score; take "
+                "one from docs/results/map-matching.md, or fit it by lanebound reproduce map-matching"
+            )
+        return self
+
+    @property
+    def least_score(self) -> float:
+        """Score below which the driver is warned."""
+        return S5_THRESHOLD if self.threshold is None else self.threshold
 
 
 class MapTest(NamedTuple):
@@ -118,5 +139,5 @@ class MapPhase:
         angle = angle if headed is None else np.where(headed, angle, 0.0)
         if score is None:
             score = np.where(matched, c.rules.score(angle, distance, off), 0.0)
-        passed = matched & (score >= c.threshold) & (match.probability >= c.least_probability)
+        passed = matched & (score >= c.least_score) & (match.probability >= c.least_probability)
         return MapTest(score, angle, distance, off, matched, passed)

@@ -9,8 +9,9 @@ from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.studies import map_matching as made
-from lanebound.integrity.assessment.warning_rates import WarningSweep
-from lanebound.integrity.core.errors import InputError
+from lanebound.agents.studies import matched_drives as drives
+from lanebound.integrity.assessment.warning_rates import WarningSweep, sweep_thresholds
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.motion.drive import DriveConfig
 from lanebound.integrity.motion.routes import Leg, RouteMotion
 
@@ -21,7 +22,7 @@ SHORT = {
 
 
 def test_links_of_a_street_map_are_its_edges() -> None:
-    streets = made.streets_of(BERLIN)
+    streets = drives.streets_of(BERLIN)
     assert streets.links.links == len(streets.graph.edges)
     both = np.flatnonzero(streets.links.twin >= 0)
     assert both.size
@@ -31,8 +32,8 @@ def test_links_of_a_street_map_are_its_edges() -> None:
 
 
 def test_the_true_link_is_the_one_beside_the_car() -> None:
-    streets = made.streets_of(BERLIN)
-    route = made.wandering(streets, 3000.0, np.random.default_rng(1))
+    streets = drives.streets_of(BERLIN)
+    route = drives.wandering(streets, 3000.0, np.random.default_rng(1))
     assert all((a, b) in set(streets.graph.turns) for a, b in pairwise(route))
     at = {k: streets.stations.of(i) for i, k in enumerate(streets.known)}
     rows = np.concatenate([np.arange(at[k].start, at[k].stop) for k in route])
@@ -44,27 +45,47 @@ def test_the_true_link_is_the_one_beside_the_car() -> None:
     assert np.abs(np.diff(way.starts_m) - lengths).max() < 25.0  # lanes and chords cut corners
     near = streets.links.near(way.place_en_m, 12.0, 16)
     for k in range(len(way.place_en_m)):
-        here = [link for link in near.link[k] if made._on_route(route, way.starts_m, int(link), way.arc_m[k], 0.0)]
+        here = [link for link in near.link[k] if drives._on_route(route, way.starts_m, int(link), way.arc_m[k], 0.0)]
         assert here, f"no link of the route beside epoch {k}"
 
 
 def test_links_of_the_route_near_a_node_count() -> None:
     starts = np.array([0.0, 50.0, 55.0, 120.0])
     right = [
-        made._on_route([7, 8, 9], starts, link, arc, 10.0)
+        drives._on_route([7, 8, 9], starts, link, arc, 10.0)
         for link, arc in ((7, 20.0), (8, 20.0), (8, 45.0), (9, 46.0), (9, 44.0), (7, 61.0), (8, 70.0), (-1, 50.0))
     ]
     assert right == [True, False, True, True, False, False, False, False]
 
 
 def test_thresholds_of_a_hand_made_sweep() -> None:
-    grid = made.THRESHOLDS
+    grid = drives.THRESHOLDS
     false_alarms, missed = np.zeros(grid.size, int), np.full(grid.size, 20)
     false_alarms[grid > 30.0], missed[grid > 30.0] = 5, 8
     false_alarms[grid > 60.0], missed[grid > 60.0] = 15, 4
     false_alarms[grid > 80.0] = 300
-    found = made.fitted(WarningSweep(grid, false_alarms, missed, 400), 20, 0.05)
-    assert [grid[found[rule]] for rule in ("crossing", "best", "equal")] == [60.25, 30.25, 80.0]
+    found = made.fitted(WarningSweep(grid, false_alarms, missed, 400), "quddus", 0.05)
+    assert found == {"crossing": 60.25, "best": 30.25, "equal": 80.0, "never": 0.0, "published": 70.0}
+    assert "published" not in made.fitted(WarningSweep(grid, false_alarms, missed, 400), "yu", 0.05)
+
+
+def test_a_threshold_is_fitted_on_the_points_that_reach_the_score() -> None:
+    """First phases that warn of many points leave the threshold of the others as it is."""
+    rng = np.random.default_rng(2)
+    wrong = rng.random(4000) < 0.1
+    score = np.clip(rng.normal(np.where(wrong, 40.0, 70.0), 15.0), 0.0, 100.0)
+    early = rng.random(4000) < 0.7
+    chain = sweep_thresholds(np.where(early, -1.0, score), wrong, drives.THRESHOLDS)
+    assert chain.crossing() == 0.0  # more early warnings than wrong points: the score would be off
+    rest = sweep_thresholds(score[~early], wrong[~early], drives.THRESHOLDS)
+    reached = made.reaching(chain, int(wrong.sum()))
+    assert reached.points == rest.points == (~early).sum()
+    assert made.fitted(reached, "yu", 0.05) == made.fitted(rest, "yu", 0.05)
+    assert 30.0 < made.fitted(reached, "yu", 0.05)["crossing"] < 70.0
+    whole = sweep_thresholds(score, wrong, drives.THRESHOLDS)
+    same = made.reaching(whole, int(wrong.sum()))
+    np.testing.assert_array_equal(same.false_alarms, whole.false_alarms)
+    assert same.points == whole.points
 
 
 def test_rates_are_those_of_s5_and_intervals_are_by_drive() -> None:
@@ -80,7 +101,7 @@ def test_rates_are_those_of_s5_and_intervals_are_by_drive() -> None:
 
 
 def test_a_short_study_counts_all_points_fits_on_the_other_map_and_resumes(tmp_path) -> None:
-    config = made.MapMatchingConfig.load(SHORT)
+    config = drives.MapMatchingConfig.load(SHORT)
     found = made.run_map_matching(config, tmp_path)
     parts = [json.loads((tmp_path / "parts" / f"{m}-0-{k}.json").read_text()) for m in (0, 1) for k in (0, 1)]
     assert [d["faulty"] for d in found["drives"]] == [1, 1]
@@ -88,10 +109,11 @@ def test_a_short_study_counts_all_points_fits_on_the_other_map_and_resumes(tmp_p
     for m, name in enumerate(config.maps):
         own, others = parts[2 * m : 2 * m + 2], parts[2 * (1 - m) : 2 * (1 - m) + 2]
         total = made._total(others, "quddus", "alone")
-        at = made.fitted(total, sum(d["wrong"] for d in others), config.equal_far)
+        thresholds = made.fitted(total, "quddus", config.equal_far)
         rows = [r for r in found["rates"] if (r["map"], r["score"], r["chain"], r["group"]) == (
             name, "quddus", "alone", "all")]  # fmt: skip
-        assert {r["rule"]: r["threshold"] for r in rows} == {k: made.THRESHOLDS[v] for k, v in at.items()}
+        assert {r["rule"]: r["threshold"] for r in rows} == thresholds
+        at = {rule: int(np.searchsorted(drives.THRESHOLDS, value)) for rule, value in thresholds.items()}
         points = sum(d["points"] for d in own)
         for r in rows:
             alarms, missed = (
@@ -115,21 +137,21 @@ def test_a_short_study_counts_all_points_fits_on_the_other_map_and_resumes(tmp_p
     ])  # fmt: skip
     assert told.exit_code == 0, told.output
     assert (tmp_path / "parts" / "0-0-0.json").stat().st_mtime_ns == before
-    for title in ("Points in motion", "threshold rule", "equal false alarms", "Largest OCDR"):
+    for title in ("Points in motion", "threshold rule", "before the score", "Table 6", "equal false", "Largest OCDR"):
         assert title in told.output
-    for rows in (made.crossing_rows, made.equal_rows, made.best_rows):
+    for rows in (made.crossing_rows, made.first_phases_rows, made.published_rows, made.equal_rows, made.best_rows):
         head, cells = rows(found)
         assert cells
         assert all(len(row) == len(head) for row in cells)
 
 
 def test_under_an_open_sky_with_a_true_map_nearly_all_matches_are_right() -> None:
-    config = made.MapMatchingConfig.load({**SHORT, "length_m": 2500.0, "map_errors": {
+    config = drives.MapMatchingConfig.load({**SHORT, "length_m": 2500.0, "map_errors": {
         "shift_m": 0.0, "missing": 0.0, "wrong_topology": 0.0}})  # fmt: skip
-    found = made.judged_drive(config, BERLIN, "open", [1, 2], False)
+    found = drives.judged_drive(config, BERLIN, "open", [1, 2], False)
     assert found.wrong.size > 150
     assert found.wrong.mean() < 0.02
-    again = made.judged_drive(config, BERLIN, "open", [1, 2], False)
+    again = drives.judged_drive(config, BERLIN, "open", [1, 2], False)
     for name, scores in found.scores.items():
         np.testing.assert_array_equal(scores, again.scores[name])
 
@@ -142,4 +164,34 @@ def test_a_map_whose_streets_lead_nowhere_is_refused(tmp_path) -> None:
         '<tag k="oneway" v="yes"/></way></osm>'
     )
     with pytest.raises(InputError, match="lead back"):
-        made.streets_of(str(file))
+        drives.streets_of(str(file))
+
+
+@pytest.mark.parametrize("twice", [BERLIN, "generated:1", "a/town.osm"])
+def test_a_map_that_is_named_twice_is_refused(twice) -> None:
+    with pytest.raises(ConfigError, match="maps must differ"):
+        drives.MapMatchingConfig(maps=(twice, "generated:2", twice))
+    with pytest.raises(ConfigError, match="maps must differ"):
+        drives.MapMatchingConfig(maps=(twice, f"./{twice}"))
+
+
+def test_the_command_refuses_a_map_that_is_named_twice_before_any_drive(tmp_path) -> None:
+    out = tmp_path / "out"
+    told = CliRunner().invoke(
+        app, ["reproduce", "map-matching", "--out", str(out), "--map", BERLIN, "--map", BERLIN, "--drives", "2"]
+    )
+    assert told.exit_code != 0
+    assert "maps must differ" in told.output
+    assert not out.exists()
+
+
+def test_the_study_scores_all_methods_and_refuses_another_score_of_the_monitor() -> None:
+    with pytest.raises(ConfigError, match="score must be context"):
+        drives.MapMatchingConfig.load({**SHORT, "monitor": {"map": {"score": "yu", "threshold": 50.0}}})
+
+
+def test_maps_of_one_stem_stay_distinct_in_tables() -> None:
+    assert made.labels(["a/town.osm.pbf", "b/town.osm", BERLIN]) == {
+        "a/town.osm.pbf": "a/town.osm.pbf", "b/town.osm": "b/town.osm", BERLIN: BERLIN,
+    }  # fmt: skip
+    assert made.labels(["a/town.osm.pbf", "b/village.osm"]) == {"a/town.osm.pbf": "town", "b/village.osm": "village"}

@@ -34,7 +34,9 @@ def street() -> tuple[study.RecordedSky, City]:
     cn0 = np.array([[0.0, 45.0, 46.0, 47.0, 48.0, 40.0], [44.0, 45.0, 46.0, 47.0, 33.0, 40.0]])
     place = np.array([[0.0, 0.0, 1.5], [0.0, -200.0, 1.5]])
     above = np.tile(los[:, 2] >= np.sin(np.radians(10.0)), (2, 1))
-    return study.RecordedSky(np.arange(2.0), place, np.tile(los, (2, 1, 1)), cn0, above, np.arange(1, 7), 0.0), wall
+    return study.RecordedSky(
+        np.arange(2.0), place, np.tile(los, (2, 1, 1)), cn0, above, np.arange(1, 7), 0.0, np.array([0, 1])
+    ), wall
 
 
 def test_a_wall_blocks_what_is_low_behind_it() -> None:
@@ -55,7 +57,9 @@ def test_numbers_and_pairs_are_counted_above_the_mask() -> None:
     assert found["cn0_dbhz"]["in sight"] == {"pairs": 9, "received": 9, "quartiles": [45.0, 46.0, 47.0]}
     assert found["cn0_dbhz"]["blocked"] == {"pairs": 1, "received": 0, "quartiles": None}
     assert found["series"]["40"] == [4, 4]
-    for rows in (study.recorded_rows, study.sight_rows):
+    by = {(d["passage"], d["cn0_dbhz"]): (d["places"], d["mean"]) for d in found["passages"]}
+    assert by == {(0, 0.0): (1, 0.0), (0, 40.0): (1, 0.0), (1, 0.0): (1, 0.0), (1, 40.0): (1, -1.0)}
+    for rows in (study.recorded_rows, study.passage_rows, study.sight_rows):
         head, cells = rows(found)
         assert all(len(row) == len(head) for row in cells)
 
@@ -116,6 +120,7 @@ def test_time_and_places_of_a_recording_are_found(tmp_path) -> None:
     assert sky.time_s.tolist() == [385.0, 390.0, 395.0, 655.0]
     assert (sky.cn0_dbhz[sky.above] == 45.0).all()  # all that the messages have above the mask was written
     assert sky.above.sum(1).min() >= 7
+    assert sky.passage.tolist() == [0, 0, 0, 1]  # the drive leaves the model between 395 and 655 s
     blocked = sky.above & ~study.predicted(sky, city)
     assert blocked.any(1).all()  # streets between buildings
     with pytest.raises(InputError, match="inside of its city model"):
@@ -134,3 +139,11 @@ def test_a_folder_without_a_model_is_refused(tmp_path) -> None:
     for folder in (tmp_path, tmp_path / "none"):
         with pytest.raises(InputError, match="city model"):
             study.read_recorded(folder, CONFIG)
+
+
+def test_errors_of_heights_leave_walls_where_they_are() -> None:
+    sky, city = street()
+    low = sky._replace(los_enu=np.where(np.arange(6)[:, None] == 0, direction(0, 60), sky.los_enu))  # 18.8 m there
+    near = low._replace(place_enu_m=np.array([[0.0, 9.9, 1.5], [0.0, -200.0, 1.5]]))  # a wall moved by 0.7 m passes it
+    found = study.compared(near, city, CONFIG.replace(height_sigmas_m=[0.0, 0.5], least_cn0_dbhz=[0.0]))
+    assert found["differences"][0]["agree"] == found["differences"][1]["agree"]

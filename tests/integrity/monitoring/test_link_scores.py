@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.monitoring.context.code_fix import VehicleFix
 from lanebound.integrity.monitoring.context.link_scores import ScoreKind, make_score, sugeno
 from lanebound.integrity.monitoring.context.monitor import ContextConfig, ContextMonitor, ContextReason
@@ -97,7 +98,7 @@ def test_jabbour_counts_hypotheses_and_tests_the_innovation() -> None:
     share = (1.0 + odds**2) / (1.0 + odds) ** 2
     found = [score_of("jabbour", two, (1.0, 0.0), sigma_m=4.0, matched=link)[0] for link in (1, 0)]
     assert found == pytest.approx([100.0 * share, 100.0 * share * odds])
-    gate = np.sqrt(2.0 * -2.0 * np.log(1e-3))  # variance 1 + 1; chi-square of two is an exponential law
+    gate = np.sqrt(-2.0 * np.log(1e-3))  # of a variance of 1 without that of the map; chi-square of two: exponential
     near, far = (score_of("jabbour", one, (gate * share, 0.0))[0] for share in (0.99, 1.01))
     assert (near, far) == (100.0, 0.0)
 
@@ -108,9 +109,11 @@ def test_yu_compares_shapes() -> None:
     assert parallel[:2].tolist() == [0.0, 0.0]  # two points have no curve yet
     assert parallel[2:] == pytest.approx(np.full(10, 100.0))  # a parallel road has the same curve
     across = np.column_stack([8.0 * np.arange(11) - 40.0, np.zeros(11)])
-    extent = np.mean(np.square(across[:, 0]))  # all matched points are one
     found = score_of("yu", straight_links(0.0), across, heading_rad=np.pi / 2.0)
-    assert found[-1] == pytest.approx(100.0 * (1.0 - np.sqrt(extent / (extent + 1.0))))
+    assert found[-1] == pytest.approx(0.0)  # all matched points are one
+    slanted = np.column_stack([6.0 * np.arange(11) - 30.0, 8.0 * np.arange(11) - 40.0])
+    found = score_of("yu", straight_links(0.0), slanted, heading_rad=np.arctan2(6.0, 8.0))
+    assert found[-1] == pytest.approx(100.0 * (1.0 - 0.6))  # 6 of each 10 m remain
     zigzag = along + np.column_stack([2.0 * (-1.0) ** np.arange(12), np.zeros(12)])
     assert 80.0 < score_of("yu", straight_links(0.0), zigzag)[-1] < 95.0
 
@@ -188,3 +191,21 @@ def test_each_score_drives_the_monitor_and_a_higher_threshold_warns_more(kind) -
 def test_a_monitor_goes_on_from_its_memory(kind) -> None:
     config = ContextConfig.load({"map": {"score": kind, "threshold": 60.0}})
     assert [v.score[0] for v in drive(config)] == [v.score[0] for v in drive(config, snapshot=17)]
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_another_score_without_its_threshold_is_refused(kind) -> None:
+    for make in (
+        lambda: ContextConfig.load({"map": {"score": kind}}),
+        lambda: ContextConfig().replace(map={"score": kind}),  # the default of S5's score is none of this one
+    ):
+        with pytest.raises(ConfigError, match=f"threshold must be given with score = {kind}"):
+            make()
+    given = ContextConfig().replace(map={"score": kind, "threshold": 71.0})
+    assert given.map.least_score == 71.0
+    assert ContextConfig.load(given.to_dict()) == given
+
+
+def test_the_threshold_of_s5_is_that_of_its_score() -> None:
+    assert ContextConfig().map.least_score == 71.0
+    assert ContextConfig.load({"map": {"threshold": 60.0}}).map.least_score == 60.0
