@@ -24,7 +24,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
@@ -41,12 +41,12 @@ SUGENO_OUTPUTS = 10.0, 50.0, 100.0  # low, average and high; fuzzyMM, FIS1
 FAR_DEG = 20.0, 45.0  # where an angle begins and ceases to be small; fuzzyMM, HE_small
 FAR_M = 10.0, 40.0  # the same of the distance from a link; fuzzyMM, PD_short
 WIDE_M = 7.5, 15.0  # the same of the region; chosen: half of and whole alert limit of S5, after Velaga 2012
-REGION_SIGMAS = float(np.sqrt(chi2.isf(0.05, 2)))  # of 95 % in the plane
+REGION_SIGMAS = float(np.sqrt(chdtri(2, 0.05)))  # of 95 % in the plane
 COMPLEX_LINKS, COMPLEX_M = 2, 15.0  # more links within the alert limit than the two of one street; chosen
 COMPLEX_SHARE = 0.5  # of the bounds of the residuals where roads are complex; chosen
 LEAD = 0.1  # lead of a match that is clear, share of the largest weight; chosen
 HEADING_SIGMA_RAD = np.deg2rad(30.0)  # of the innovation; as of the hidden Markov matcher
-INNOVATION_GATE = float(chi2.isf(1e-3, 2))  # P_FA as of S5's first phase; Jabbour et al. derive theirs from data
+INNOVATION_GATE = float(chdtri(2, 1e-3))  # P_FA as of S5's first phase; Jabbour et al. derive theirs from data
 
 
 class ScoreKind(StrEnum):
