@@ -43,8 +43,8 @@ def refuse_journey(name: str) -> None:
     """
     if name.removeprefix("lanebound/").partition("-v")[0].lower() == "journey":
         raise InputError(
-            f"environment must be a driving world, got {name!r}: make it by gymnasium.make('lanebound/Journey-v0'), "
-            "compare its drivers by 'lanebound assess journeys'"
+            f"environment must be a driving world, got {name!r}: make it by gymnasium.make or make_vec "
+            "('lanebound/Journey-v0', docs/environments.md#journey), compare its drivers by 'lanebound assess journeys'"
         )
 
 

@@ -20,12 +20,13 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from lanebound.agents.plugins import load_plugins, loaded_plugins
+from lanebound.agents.presets import refuse_journey
 from lanebound.envs import IDS
 from lanebound.envs.batch.infos import NAMES, as_ended, single_info
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import faults_in
 from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
-from lanebound.envs.ids import has_engine, preset_of
+from lanebound.envs.ids import every_preset, has_engine, id_of, preset_of
 from lanebound.envs.info import own_info
 from lanebound.envs.vector.env import VectorDrivingEnv, WrappedVectorEnv, engine_class, engines
 from lanebound.envs.worlds import world_kind
@@ -71,8 +72,10 @@ class EngineVecEnv(VecEnv):
         processes: int = 1,
     ) -> None:
         if (make := engine_of(env_id)) is None:
+            refuse_journey(env_id)
             if env_id not in IDS:
-                raise InputError(f"env_id '{env_id}' is unknown: {nearest(env_id, engines())}")
+                ids = [id_of(kind) for kind in every_preset() if has_engine(kind)]
+                raise InputError(f"env_id '{env_id}' is unknown: {nearest(env_id, ids)}")
             raise InputError(
                 f"env_id must have an engine, as {', '.join(engines())} do, got {env_id!r}: choose one of these, or "
                 "use DummyVecEnv or SubprocVecEnv"

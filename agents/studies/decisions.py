@@ -296,7 +296,7 @@ def _decided(found: Mapping[str, Any]) -> Table:
             verdicts.append(f"{verdict}{_shown(changes[place, pair, JUDGED[0]])}")
         rows.append((env, navigator, available, *(_harm_at(part) for part in drivers.values()), *verdicts))
     heads = ("id", "navigator", "available [%]", *(f"`{name}`" for name in found["config"]["drivers"]))
-    return (*heads, *(f"`{reads}` against `{rival}`; harm less its" for reads, rival in pairs)), rows
+    return (*heads, *(f"`{reads}` against `{rival}`, difference of harm" for reads, rival in pairs)), rows
 
 
 def _shown(change: Difference) -> str:

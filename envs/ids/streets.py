@@ -190,8 +190,10 @@ class CityStreets(Preset):
     As in UrbanCanyon.
 
     ## Arguments
-    As UrbanCanyon, and `config["cities"]`: `split` and `count` (at most 128) of the cities. A city that is new is made
-    at the reset, in about 3 s. `config["world"]["map"]`: `generated`, or a map alone ([street maps](#street-maps)).
+    As UrbanCanyon, and `config["cities"]`: `split` and `count` (16; at most 128) of the cities, also of the test split.
+    `make` finds the ways of all cities, in about half a second each; a reset makes the sky of a new one in about 3 s.
+    `route`, `via` and `roads` need one map, as `config["world"]["map"]`: `generated:SEED` ([street
+    maps](#street-maps)).
 
     ## Version History
     * v0: first version.

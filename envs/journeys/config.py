@@ -66,7 +66,7 @@ class JourneyConfig(Config):
             inside = all(0.0 <= v < high if name == "hours" else 0.2 <= v <= high for v in values)
             if not values or not inside or len(set(values)) < len(values):
                 bounds = "in [0, 24)" if name == "hours" else "in [0.2, 1]"
-                raise ConfigError(f"{name} must be distinct numbers {bounds}, got {list(values)}: give one at least")
+                raise ConfigError(f"{name} must be distinct numbers {bounds}, got {list(values)}: correct them")
         if self.cities.vary:
             raise ConfigError("cities.vary must be false, got True: generated maps differ by their seeds")
         return self

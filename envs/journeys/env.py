@@ -15,12 +15,13 @@ from lanebound.envs.journeys.config import JourneyConfig
 from lanebound.envs.journeys.engine import Journeys, JourneyStep
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import deep_merge
+from lanebound.integrity.sky.availability import NO_LEVEL_M
 
 __all__ = ["Journey", "VectorJourney"]
 
 Flags = NDArray[np.bool_]
 
-SHOWN = "time_s", "length_m", "energy_kwh", "unusable_s", "gap_s", "level_m"
+SHOWN = "time_s", "length_m", "energy_kwh", "unusable_s", "gap_s"
 
 
 class Journey(gymnasium.Env[NDArray[np.float32], Any]):
@@ -38,11 +39,11 @@ class Journey(gymnasium.Env[NDArray[np.float32], Any]):
     `Discrete(4)`: the next street, numbered from the sharpest left to the sharpest right; at the place of departure
     clockwise from the South. Turn restrictions hold, and nobody turns back. Where only one street goes
     on, the journey does so without an action. `action_masks()` and `info["action_mask"]` say which actions lead into a
-    street. Another action takes the street whose number is nearest (the lower one of two), and
-    `info["invalid_action"]` is true.
+    street. Another one of the space takes the street whose number is nearest (the lower one of two), and
+    `info["invalid_action"]` is true; one outside of it is refused.
 
     With `departure: choose` actions 4, 5, ... are the `hours`; only they are valid first. With several `speed_classes`
-    the space is `MultiDiscrete([4, n])`: street and share of the speed limit.
+    the space is `MultiDiscrete([4, n])`: street and share of the speed limit; `action_masks()` then has 4 + n entries.
 
     ## Observation Space
     `Box(-1, 1, (96,), float32)`: 12 entries of the journey and 21 of each of four streets. Times are divided by 600 s,
@@ -63,7 +64,7 @@ class Journey(gymnasium.Env[NDArray[np.float32], Any]):
     | `street{k}_level_median`, `_level_90` | predicted quantiles of PL_CT; 1: beyond 20 m, or no level |
     | `street{k}_aware_time`, `_unusable`, `_length` | from its end to the goal by the integrity-aware route |
     | `street{k}_fast_...`, `_short_...` | the same by the fastest and by the shortest route |
-    | `street{k}_aware_excess`, `_fast_excess` | cost of the whole way beyond that of the best street [min] |
+    | `street{k}_aware_excess`, `_fast_excess` | cost of the whole way beyond that of the best street, over 1 min |
     | `departing`, `hour{k}_time`, `_unusable` | with `departure: choose`: the integrity-aware route at each hour |
 
     ## Rewards
@@ -71,12 +72,17 @@ class Journey(gymnasium.Env[NDArray[np.float32], Any]):
     [min]. `info["rewards"]` holds the terms unweighted. Energy is rolling resistance and drag of a car of 1.5 t.
 
     ## Costs
-    `info["cost"]`: the time of the step without a usable position, or with an alert [s]. `cost_limit` is 47, the 0.7
-    quantile of `integrity_aware` over 400 training seeds, rounded up.
+    `info["cost"]`: the time of the step without a usable position [s]. `cost_limit` is 47, the 0.7 quantile of
+    `integrity_aware` over 400 training seeds, rounded up.
+
+    ## Info
+    Of the journey so far: `time_s`, `length_m`, `energy_kwh`, `unusable_s`, `predicted_unusable_s`; here: `rtk`,
+    `usable`, `gap_s`, `level_m` (PL_CT, `inf` without one); `city` (number), `hour`, `cost`, `rewards`, `is_success`,
+    `action_mask`, `invalid_action`.
 
     ## Starting State
-    At the middle of a street, at rest. City, hour, origin and destination are drawn; both places are at least 300 m
-    apart, and of 40 in the city. The navigator starts facing the street that is chosen first: until then `rtk` and
+    At the middle of a street, at rest. City, hour, origin and destination are drawn; both are of 40 places of the
+    city, at least 300 m apart. The navigator starts facing the street that is chosen first: until then `rtk` and
     `usable` are 0, and `level` is 1, no level.
 
     ## Episode End
@@ -85,8 +91,9 @@ class Journey(gymnasium.Env[NDArray[np.float32], Any]):
 
     ## Arguments
     `realised: fast` draws RTK, usable positions and levels at stations 10 m apart from laws that are fitted on drives
-    of the navigator; `full` drives the navigator itself, a journey in about a second. In `full` the next street is
-    asked for where the car would brake for the end of the last one, so that what is met there is not seen yet.
+    of the navigator; `full` drives the navigator itself, a journey in about a second once the sky of the city is cast.
+    In `full` the choice is due where the car begins to brake for the junction; the last metres are driven after it.
+    `reset(options={"city": k})` takes a city by its number. `render_mode` is `"rgb_array"` or None.
 
     ## Version History
     * v0: first version.
@@ -303,6 +310,7 @@ def infos_of(journeys: Journeys, found: JourneyStep | None) -> dict[str, Any]:
         found = JourneyStep(zeros, zeros, zeros, false, false, false)
     return {
         **{name: state[name].copy() for name in SHOWN},
+        "level_m": np.where(state["level_m"] < NO_LEVEL_M, state["level_m"], np.inf),
         "predicted_unusable_s": state["predicted_s"].copy(),
         "rtk": state["rtk"] == 1,
         "usable": state["usable"] == 1,

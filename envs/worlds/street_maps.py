@@ -139,8 +139,11 @@ def _asked(world: Mapping[str, Any]) -> list[tuple[str, StreetMap | None, int, t
         raise ConfigError(f"world.via must hold at most {MOST_VIA} places, got {len(via)}: leave some out")
     places, width_m, route = tuple(map(tuple, via)), world["lane_width"], world["route"]
     if name == EACH_CITY:
-        if roads > 1:
-            raise ConfigError(f"world.roads must be left out with map 'generated', got {roads}: set cities.count")
+        if roads > 1 or route or via:  # each city has its own ways and places
+            raise ConfigError(
+                "world.roads, world.route and world.via must be left out with world.map 'generated': set cities.count, "
+                "or take one map, 'generated:SEED'"
+            )
         return [(f"{GENERATED}{seed}", None, route, places, width_m) for seed in world["seeds"]]
     streets = None if name.startswith(GENERATED) else named_map(name)
     return [(name, streets, route + k, places, width_m) for k in range(roads)]
