@@ -88,7 +88,7 @@ def test_a_warning_costs_what_is_asked_for_while_the_car_drives_on() -> None:
     ],
 )  # fmt: skip
 def test_the_engine_has_the_reports_of_single_environments(kind: str, judges: str, score: str) -> None:
-    context = {"interval_s": 0.5, "alerts": True, "judges": judges, "map": {"score": score}}
+    context = {"interval_s": 0.5, "alerts": True, "judges": judges, "map": {"score": score, "threshold": 70.0}}
     navigator = {"kind": kind, "context": context}
     config = {**WATCHED, "navigator": navigator, "observation": {"form": "flat"}}
     env = gymnasium.make("lanebound/LaneKeeping-v0", config=config)
