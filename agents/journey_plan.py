@@ -26,6 +26,7 @@ from lanebound.integrity.sky.journeys.streets import EdgeStations, SkyAlong, at_
 from lanebound.integrity.sky.maps.city import city_of
 from lanebound.integrity.sky.maps.generated import GENERATED, named_map
 from lanebound.integrity.sky.maps.graph import StreetGraph
+from lanebound.integrity.sky.maps.lines import arcs_of, part_of
 from lanebound.integrity.sky.maps.records import StreetMap
 from lanebound.integrity.sky.track import SkyTrack
 
@@ -215,11 +216,9 @@ def route_line(graph: StreetGraph, route: Route) -> Array:
 def _pieces(graph: StreetGraph, route: Route) -> Iterator[Array]:
     for k, number in enumerate(route.edges):
         line = graph.edges[number].points_en_m
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        begin = route.begin * arc[-1] if k == 0 else 0.0
-        end = route.end * arc[-1] if k == len(route.edges) - 1 else arc[-1]
-        at = np.array([begin, *arc[(arc > begin) & (arc < end)], end])
-        yield np.stack([np.interp(at, arc, line[:, j]) for j in (0, 1)], -1)
+        length = float(arcs_of(line)[-1])
+        begin = route.begin * length if k == 0 else 0.0
+        yield part_of(line, begin, route.end * length if k == len(route.edges) - 1 else length)
 
 
 def place_named(text: str, name: str) -> Degrees:

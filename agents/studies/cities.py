@@ -47,7 +47,7 @@ CITIES: dict[str, dict[str, Any]] = {
     "test": {"split": "test", "count": 100, "vary": False},
     "varied": {"split": "test", "count": 100, "vary": True},
 }
-ROADS, LAYOUTS = "roads", range(100, 108)  # numbers of roads that nothing was tuned on
+ROADS, OTHER_ROADS = "roads", {"layout": 100, "roads": 8}  # roads that nothing was tuned on, one drawn for each drive
 JUDGED: dict[str, Better] = {"reward": "higher", "cost": "lower", "available": "higher"}
 
 
@@ -65,27 +65,18 @@ class GeneralisationConfig(Config):
     seeds: int = Field(32, ge=2, le=1000, description="episodes of each id and driver, held-out seeds")
     overrides: Mapping[str, Any] = Field({}, description="of the environments' configuration, merged deeply")
 
-    def changes(self, cities: str, layout: int | None = None) -> dict[str, Any]:
-        """The configuration of an id in cities of a kind, on a road by its number where one is given."""
-        road = {} if layout is None else {"world": {"layout": layout}}
+    def changes(self, cities: str) -> dict[str, Any]:
+        """The configuration of an id in cities of a kind, along other roads where that is the kind."""
+        road = {"world": OTHER_ROADS} if cities == ROADS else {}
         given = {"cities": CITIES["test" if cities == ROADS else cities], "observation": {"form": "flat"}, **road}
         return deep_merge(self.overrides, given)
-
-    def drives(self, cities: str) -> list[tuple[dict[str, Any], int, int]]:
-        """Configuration, first seed and number of episodes; on roads an equal share of the seeds for each."""
-        first = SPLITS["test"][0]
-        if cities != ROADS:
-            return [(self.changes(cities), first, self.seeds)]
-        ends = np.linspace(0, self.seeds, len(LAYOUTS) + 1).astype(int).tolist()
-        shares = zip(LAYOUTS, ends, ends[1:], strict=False)
-        return [(self.changes(ROADS, layout), first + at, end - at) for layout, at, end in shares if end > at]
 
 
 def kinds_of(env: str) -> tuple[str, ...]:
     """The kinds of cities in which an id is driven."""
     with closing(open_env(full_id(env), {"sky": "open", "faults": "none"})) as single:
         world: Any = single.unwrapped.get_wrapper_attr("world")
-        roads = "layout" in world.default_config()
+        roads = "roads" in world.default_config() and "layout" in world.default_config()
     return (*CITIES, ROADS) if roads else tuple(CITIES)
 
 
@@ -124,14 +115,9 @@ def _of_id(config: GeneralisationConfig, env: str, advance: Advance) -> dict[str
 
 def _driven(config: GeneralisationConfig, env: str, driver: str, cities: str) -> dict[str, list[float]]:
     """Reward, cost and share of usable decisions of each episode, and whether it succeeds."""
-    shares = [_episodes(env, driver, *drive) for drive in config.drives(cities)]
-    return {name: np.concatenate([of[name] for of in shares]).tolist() for name in shares[0]}
-
-
-def _episodes(env: str, driver: str, changes: Mapping[str, Any], first_seed: int, count: int) -> dict[str, Array]:
-    """The same, of consecutive seeds in one configuration."""
+    count = config.seeds
     steps, success, sums = np.zeros(count), np.zeros(count), {name: np.zeros(count) for name in JUDGED}
-    for infos, going, over, envs in first_episodes(env, changes, driver, count, first_seed):
+    for infos, going, over, envs in first_episodes(env, config.changes(cities), driver, count, SPLITS["test"][0]):
         weights = envs.config.reward
         reward = sum(getattr(weights, term) * infos["rewards"][term] for term in TERMS)
         of_step = {"reward": reward, "cost": infos["cost"], "available": infos["available"]}
@@ -139,7 +125,8 @@ def _episodes(env: str, driver: str, changes: Mapping[str, Any], first_seed: int
             sums[name] += np.where(going, values, 0.0)
         steps += going
         success += going & over & infos["is_success"]
-    return {**sums, "available": sums["available"] / steps, "success": success}
+    sums["available"] /= steps
+    return {name: values.tolist() for name, values in {**sums, "success": success}.items()}
 
 
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:

@@ -434,8 +434,9 @@ def closest(lanes, x, y, heading, extra_m):  # type: ignore[no-untyped-def]
     """
     best, least, second, clear = 0, math.inf, math.inf, True
     bound, most = _bound(lanes, x, y), 0.0
-    for n in range(extra_m.shape[0]):
-        most = max(most, extra_m[n])
+    if bound < math.inf:
+        for n in range(extra_m.shape[0]):
+            most = max(most, extra_m[n])
     for n in range(lanes.table.shape[0]):
         lane = lanes.table[n]
         if bound < math.inf and _away(lane, x, y) > bound + most + 1.0:  # no second nearest either

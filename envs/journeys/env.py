@@ -37,7 +37,7 @@ class Journey(gymnasium.Env[NDArray[np.float32], Any]):
 
     ## Action Space
     `Discrete(4)`: the next street, numbered from the sharpest left to the sharpest right; at the place of departure
-    clockwise from the South. Turn restrictions hold, and nobody turns back. Where only one street goes
+    clockwise from the South. Turn restrictions hold; turning back is never possible. Where only one street goes
     on, the journey does so without an action. `action_masks()` and `info["action_mask"]` say which actions lead into a
     street. Another one of the space takes the street whose number is nearest (the lower one of two), and
     `info["invalid_action"]` is true; one outside of it is refused.

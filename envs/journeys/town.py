@@ -41,6 +41,7 @@ from lanebound.integrity.sky.journeys.streets import (
 from lanebound.integrity.sky.maps.city import city_of
 from lanebound.integrity.sky.maps.generated import generated_map
 from lanebound.integrity.sky.maps.graph import StreetEdge, StreetGraph
+from lanebound.integrity.sky.maps.lines import arcs_of, part_of
 from lanebound.integrity.sky.prediction import StreetPrediction
 from lanebound.integrity.sky.scene import City, clad
 from lanebound.integrity.sky.survey import MapConfig, as_mapped
@@ -55,6 +56,7 @@ Int8 = NDArray[np.int8]
 KEPT = "journeys"  # folder of the cache
 LEAST_APART_M = 300.0  # of the places of a journey
 CITIES = TEST_CITIES  # that are kept in memory, of about 2 MB for each hour and 2 MB for the streets
+SAME_M = 1e-6  # points that are nearer are one
 PLACES = 40  # where journeys of a city begin and end; chosen: some 1,200 pairs, and 2 MB of plans for each hour
 
 
@@ -266,14 +268,9 @@ def _cut(
 
 def _halves(edge: StreetEdge, middle: int) -> tuple[StreetEdge, StreetEdge]:
     """Both halves of an edge, which meet at a point of this number."""
-    points = edge.points_en_m
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    half = np.array([np.interp(0.5 * arc[-1], arc, points[:, j]) for j in (0, 1)])
-    before, after = points[arc < 0.5 * arc[-1] - 1e-6], points[arc > 0.5 * arc[-1] + 1e-6]
-    return (
-        replace(edge, end=middle, points_en_m=np.concatenate([before, half[None]])),
-        replace(edge, start=middle, points_en_m=np.concatenate([half[None], after])),
-    )
+    points, length = edge.points_en_m, float(arcs_of(edge.points_en_m)[-1])
+    before, after = (part_of(points, *ends, SAME_M) for ends in ((0.0, 0.5 * length), (0.5 * length, length)))
+    return replace(edge, end=middle, points_en_m=before), replace(edge, start=middle, points_en_m=after)
 
 
 def _azimuth(edge: StreetEdge, end: bool) -> float:

@@ -28,7 +28,8 @@ from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_
 from lanebound.integrity.sky.maps.city import bridges_above, city_of, in_buildings
 from lanebound.integrity.sky.maps.generated import GENERATED, named_map
 from lanebound.integrity.sky.maps.graph import StreetGraph, distance_m
-from lanebound.integrity.sky.maps.loops import FAR_M, ClosedWay, along, loops_of, loops_via
+from lanebound.integrity.sky.maps.lines import along
+from lanebound.integrity.sky.maps.loops import FAR_M, ClosedWay, loops_of, loops_via
 from lanebound.integrity.sky.maps.polygons import crossing
 from lanebound.integrity.sky.maps.records import StreetMap, StreetWay
 from lanebound.integrity.sky.road import Road

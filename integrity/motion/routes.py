@@ -13,12 +13,14 @@ from scipy.spatial import cKDTree
 from lanebound.integrity.motion.drive import DriveConfig, curve_limits
 from lanebound.integrity.sky.journeys.streets import TURN_M, EdgeStations, lane_line
 from lanebound.integrity.sky.maps.graph import StreetEdge
+from lanebound.integrity.sky.maps.lines import arcs_of, part_of
 from lanebound.integrity.sky.road import Road
 
 __all__ = ["STATION_M", "Leg", "RouteMotion", "route_road", "speed_profile"]
 
 Array = NDArray[np.float64]
 
+CLEAR_M = 1.0  # between points of a lane
 STATION_M = 8.0  # of the true sky along routes; of the sky of environments 5 m
 
 
@@ -88,12 +90,11 @@ def _lane_parts(edges: Sequence[StreetEdge], leg: Leg) -> list[Array]:
     parts = []
     for k, edge in enumerate(edges):
         line = lane_line(edge)
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        corner = min(TURN_M, 0.3 * arc[-1])
-        begin = leg.begin * arc[-1] if k == 0 else corner
-        end = leg.end * arc[-1] if k == len(edges) - 1 else arc[-1] - corner
-        at = np.array([begin, *arc[(arc > begin + 1.0) & (arc < end - 1.0)], max(end, begin + 1.0)])
-        parts.append(np.stack([np.interp(at, arc, line[:, j]) for j in (0, 1)], -1))
+        length = float(arcs_of(line)[-1])
+        corner = min(TURN_M, 0.3 * length)
+        begin = leg.begin * length if k == 0 else corner
+        end = leg.end * length if k == len(edges) - 1 else length - corner
+        parts.append(part_of(line, begin, max(end, begin + CLEAR_M), CLEAR_M))
     return parts
 
 

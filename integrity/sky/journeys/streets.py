@@ -14,6 +14,7 @@ from lanebound.integrity.core.errors import require_in_range
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.maps.graph import StreetEdge, StreetGraph
+from lanebound.integrity.sky.maps.lines import arcs_of, points_at
 from lanebound.integrity.sky.prediction import StreetPrediction, predict_street
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
@@ -106,9 +107,7 @@ class EdgeStations:
         places = [np.zeros((0, 2))]
         for edge, count in zip(edges, counts, strict=True):
             line = lane_line(edge)
-            arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-            at = arc[-1] * (np.arange(count) + 0.5) / count
-            places.append(np.stack([np.interp(at, arc, line[:, k]) for k in (0, 1)], -1))
+            places.append(points_at(line, arcs_of(line)[-1] * (np.arange(count) + 0.5) / count))
         return cls(
             np.concatenate(places),
             np.concatenate([[0], np.cumsum(counts)]),

@@ -21,7 +21,7 @@ from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.city import STREETS, SectionKind, StreetConfig
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.maps.files import map_of
-from lanebound.integrity.sky.maps.loops import along
+from lanebound.integrity.sky.maps.lines import along
 from lanebound.integrity.sky.maps.polygons import cleaned, inside, signed_area
 from lanebound.integrity.sky.maps.records import MapFrame, Restriction, Solid, StreetMap, StreetWay, Tree
 

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.maps.city import in_buildings
 from lanebound.integrity.sky.maps.graph import StreetEdge, StreetGraph, distance_m
+from lanebound.integrity.sky.maps.lines import along
 from lanebound.integrity.sky.maps.records import StreetMap
 
-__all__ = ["FAR_M", "ClosedWay", "along", "loops_of", "loops_via", "through_buildings"]
+__all__ = ["FAR_M", "ClosedWay", "loops_of", "loops_via", "through_buildings"]
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]
@@ -47,13 +48,6 @@ def through_buildings(streets: StreetMap, edges: Sequence[StreetEdge]) -> Array:
     which = np.concatenate(owner)
     hits = np.bincount(which, in_buildings(np.concatenate(places), streets), len(edges))
     return np.asarray(hits / np.maximum(np.bincount(which, minlength=len(edges)), 1))
-
-
-def along(line_en_m: Array, spacing_m: float) -> Array:
-    """Places along a line (n, 2), evenly spaced and at most so far apart, with its ends.  -> (m, 2) [m]."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line_en_m, axis=0), axis=1))])
-    at = np.linspace(0.0, arc[-1], int(np.ceil(arc[-1] / spacing_m)) + 1)
-    return np.stack([np.interp(at, arc, line_en_m[:, k]) for k in (0, 1)], -1)
 
 
 def loops_of(streets: StreetMap, graph: StreetGraph) -> Iterator[ClosedWay]:

@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.maps import tags as tg
 from lanebound.integrity.sky.maps.buildings import Outline, solids_of
+from lanebound.integrity.sky.maps.lines import arcs_of, points_at
 from lanebound.integrity.sky.maps.records import BridgeAxis, MapFrame, Restriction, StreetMap, StreetWay, Tree
 from lanebound.integrity.sky.maps.sizes import require_moderate_gzip, require_moderate_pbf
 
@@ -305,10 +306,9 @@ def _trees(found: _Found, near: _Plan, assumed: Counter[str], file: Path) -> lis
     for line in near(found.rows):
         if line is None:
             continue
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        _require_at_most("trees", len(out) + int(arc[-1] / ROW_SPACING_M), file)
-        at_m = np.arange(0.5 * min(ROW_SPACING_M, arc[-1]), arc[-1], ROW_SPACING_M)
-        stands = np.stack([np.interp(at_m, arc, line[:, k]) for k in (0, 1)], -1)
+        length = float(arcs_of(line)[-1])
+        _require_at_most("trees", len(out) + int(length / ROW_SPACING_M), file)
+        stands = points_at(line, np.arange(0.5 * min(ROW_SPACING_M, length), length, ROW_SPACING_M))
         free = stands[mapped.query(stands)[0] > TREE_APART_M] if out else stands
         assumed["places of trees in rows"] += len(free)
         out += [Tree(float(east), float(north)) for east, north in free]

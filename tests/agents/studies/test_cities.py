@@ -13,7 +13,6 @@ from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes.opening import open_env
 from lanebound.agents.studies.cities import (
     CITIES,
-    LAYOUTS,
     ROADS,
     SECTIONS,
     GeneralisationConfig,
@@ -29,8 +28,7 @@ CONFIG = GeneralisationConfig.load({"envs": ["LaneKeeping"], "drivers": ["nomina
 
 def driven(cities: str, number: int) -> tuple[float, float, float]:
     """Reward, cost and share of usable decisions of an episode of a single environment."""
-    layout = LAYOUTS[-(-(number + 1) * len(LAYOUTS) // CONFIG.seeds) - 1] if cities == ROADS else None
-    env, seed = open_env("lanebound/LaneKeeping-v0", CONFIG.changes(cities, layout)), SPLITS["test"][0] + number
+    env, seed = open_env("lanebound/LaneKeeping-v0", CONFIG.changes(cities)), SPLITS["test"][0] + number
     agent, (observation, _), found = make_agent("nominal", env), env.reset(seed=seed), []
     over, state, start = False, None, True
     while not over:
