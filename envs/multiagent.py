@@ -95,7 +95,8 @@ class PlatoonAgents(ParallelEnv):  # type: ignore[misc]
     ----------
     config : merged deeply over the configuration of ``lanebound/Platoon-v0``; commands are continuous
     agents : places of the agents, 1 for the first, the ego of Platoon among them (``world.place``, the middle); None:
-        all. The other vehicles drive by the law of Platoon's traffic, so that the ego alone as agent is Platoon itself
+        all. The other vehicles drive by the law of Platoon's traffic: with the ego alone as agent all numbers are those
+        of Platoon, where it perceives by radio
     render_mode : as for ``lanebound/Platoon-v0``, whose ego is shown
 
     Raises

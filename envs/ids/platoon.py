@@ -35,19 +35,22 @@ class Platoon(Preset):
     As above.
 
     ## Costs
-    Stopping has a [price](#priced-ids).
+    Stopping has a [price](#priced-ids). `cost_limit` is 40 by the [rule for means](results/cost-limits.md) over 40
+    training seeds: 31.4 and 1 % of a crash, rounded up. [Degenerate
+    policies](results/degenerate-policies.md#priced-ids).
 
     ## Starting State
-    In the middle of the lane, 20 to 80 m before the end of the canyon and 0.8 km before the tunnel, at the speed of the
-    first vehicle, with gaps of 2 m + T v between bumpers; T is drawn from 0.8 to 1.0 s.
+    In the middle of the lane, 20 to 80 m before the end of the canyon and 0.7 km before the tunnel, at the speed of the
+    first vehicle, with gaps of 2 m + T v between bumpers; T is drawn from 0.8 to 1.0 s, and v is the speed that the
+    first would have without bends.
 
     ## Episode End
-    Truncated after 150 s, when most cars have left the tunnel.
+    Truncated after 150 s, when most cars have left the tunnel. A success requires 0.5 of the possible speed.
 
     ## Arguments
     `config["world"]`: `vehicles` (5; 4 to 8), `place` (of the car, 2 for the second; None: the middle), `lead`,
-    `lane_width`, `standstill_gap`, `time_gap` (as in CarFollowing), `duration` (150 s). With all vehicles as agents:
-    [platoon of agents](#platoon-of-agents).
+    `lane_width`, `standstill_gap`, `time_gap` (as in CarFollowing), `duration` (150 s). All vehicles may
+    be [agents](multiagent.md).
 
     ## Version History
     * v0: first version.

@@ -28,7 +28,8 @@ class PlatoonWorld(World):
     Action, observation, reward
         Those of :class:`World`.
     Start
-        In the canyon, with gaps of ``standstill_gap + T v`` between bumpers, T uniform, all at the speed of the first.
+        In the canyon, with gaps of ``standstill_gap + T v`` between bumpers, T uniform, all at the speed of the first;
+        v is what it would be without bends.
     Episode end
         That of :class:`World`; the loop has no end.
     Configuration
