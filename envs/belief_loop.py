@@ -7,6 +7,7 @@ data are simulated. The formulas are those of :mod:`lanebound.envs.batch`, at on
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,8 +37,6 @@ from lanebound.integrity.navigators.solution import Solution
 
 __all__ = ["BeliefLoop", "WorldStep"]
 
-ROW = np.zeros(1, dtype=np.int64)
-
 
 class WorldStep(NamedTuple):
     """What the wrapped world says of a policy step: its end rules, and its own reward."""
@@ -53,7 +52,8 @@ class BeliefLoop:
     Attributes
     ----------
     believed : the vehicle that meta-actions control, on its own perceived road over the shared network
-    episodes : belief, perception and scores as records of one row
+    episodes : belief, perception and scores as records, of one row but for a fleet
+    rows : 0, 1, ..., those rows
     """
 
     def __init__(self, world: AbstractEnv, config: EnvConfig, context: EpisodeContext) -> None:
@@ -62,7 +62,7 @@ class BeliefLoop:
         world.road.network = fast_network(world.road.network, self.episodes.table)
         self.step_s, self.epoch_s = (float(self.episodes.rules[name][0]) for name in ("step_s", "epoch_s"))
         self.steps_per_epoch = config.navigation.steps_per_epoch(config.simulation_hz)
-        self._steps = 0
+        self._steps, self.rows = 0, np.arange(len(self.episodes.cars))
         self.actuated = config.actuators is not None
         self._onward: dict[tuple[LaneIndex, tuple[Any, ...]], int] = {}
         ego = world.vehicle
@@ -78,7 +78,8 @@ class BeliefLoop:
             record, radio = self.episodes.ego["closure"][0], config.perception.v2v
             announce(record, self.episodes.table, world.road.network, closure, radio, context.seed)
         levy(self.episodes.ego["toll"], 0, self.episodes.table, getattr(world, "tolled", ()))
-        self.episodes.begin(ROW, [context.seed], context.starts, np.ones((1, self.seats.capacity), dtype=np.bool_))
+        there = np.ones((self.rows.size, self.seats.capacity), dtype=np.bool_)
+        self.episodes.begin(self.rows, context.seeds, context.starts, there)
         if self.meta:
             self._body["target_speed_mps"] = self.episodes.ego["belief"]["target_speed_mps"] = (
                 self.believed.target_speed
@@ -98,6 +99,11 @@ class BeliefLoop:
     def ego(self) -> Vehicle:
         """The physical car, for scoring."""
         return self.world.vehicle
+
+    @property
+    def cars(self) -> list[Vehicle]:
+        """The physical car of each row of ``episodes``."""
+        return [self.ego]
 
     @property
     def meta(self) -> bool:
@@ -137,12 +143,12 @@ class BeliefLoop:
 
     # A policy step
 
-    def step_world(self, command: Any) -> WorldStep:
-        """A policy step of the wrapped world, whose simulation is :meth:`simulate`."""
+    def step_world(self, command: Any) -> list[WorldStep]:
+        """A policy step of the wrapped world, simulated by :meth:`simulate`; how it ends for each of ``cars``."""
         if isinstance(self.world.action_type, ClaimAction):
             self.episodes.ego["command"]["claim"] = command
         _, reward, terminated, truncated, _ = self.world.step(command)
-        return WorldStep(bool(terminated), bool(truncated), float(reward))
+        return [WorldStep(bool(terminated), bool(truncated), float(reward))]
 
     def simulate(self, command: Any = None) -> None:
         """Drive all simulation steps of a policy step; the belief follows each but the last."""
@@ -153,8 +159,12 @@ class BeliefLoop:
                 self.perceive()
                 self.world._automatic_rendering()  # highway-env's hook for pictures between decisions
             elif command is not None:  # a world may have passed it on itself
-                self.world.action_type.act(command)
+                self.command(command)
             self.drive()
+
+    def command(self, command: Any) -> None:
+        """Pass a command on."""
+        self.world.action_type.act(command)
 
     def drive(self) -> None:
         """Move all vehicles by a simulation step; the ego carries out what follows from its belief."""
@@ -167,20 +177,20 @@ class BeliefLoop:
         """Take the true poses of the vehicles. Between epochs, extrapolate the belief; where one ends, measure it."""
         self.seats.follow((self._steps - 1) % self.steps_per_epoch)
         self.seats.read(full=self._ends_epoch)
-        self.episodes.carry_on(ROW, self._ends_epoch)
+        self.episodes.carry_on(self.rows, self._ends_epoch)
         if self._ends_epoch:
-            self.episodes.sense(ROW)
+            self.episodes.sense(self.rows)
 
     def locate(self) -> None:
         """Solve an epoch that ends by the measurements alone, and place the believed vehicle."""
         if self._ends_epoch:
-            self.episodes.locate(ROW)
+            self.episodes.locate(self.rows)
         self._place()
 
     def perceive(self) -> None:
         """Perceive the traffic at the end of an epoch."""
         if self._ends_epoch:
-            self.episodes.perceive(ROW, np.array([self.time_s]))
+            self.episodes.perceive(self.rows, np.full(self.rows.size, self.time_s))
 
     # From belief to commands
 
@@ -226,11 +236,11 @@ class BeliefLoop:
             found = self._onward[key] = NONE if onward == key[0] else self.episodes.table.row[onward]
         return found
 
-    def limit(self, action: dict[str, float]) -> dict[str, float]:
+    def limit(self, action: dict[str, float], row: int = 0) -> dict[str, float]:
         """A command as the actuators carry it out, with the brake that holds a standing car under ``HOLD``."""
         e = self.episodes
         steering, hold = ego_kernel.actuate(
-            e.ego["belief"][0], e.ego["command"][0], float(action["steering"]), float(action["acceleration"]),
+            e.ego["belief"][row], e.ego["command"][row], float(action["steering"]), float(action["acceleration"]),
             float(self.ego.LENGTH), e.rules[0],
         )  # fmt: skip
         out = {**action, "steering": steering}
@@ -240,25 +250,31 @@ class BeliefLoop:
 
     # Scores and observations
 
-    def score_and_observe(self, end: WorldStep, start: bool = False) -> None:
-        """Score the policy step that ends now, and fill the observation of now."""
+    def score_and_observe(self, ends: Sequence[WorldStep], start: bool = False) -> None:
+        """Score the policy step that ends now for each of ``cars``, and fill the observations of now."""
         e, row = self.episodes, self.episodes.table.row
         self.seats.read(full=True)
         self._intents()
-        for index in {self.believed.lane_index, self.ego.lane_index, e.table.index[e.ego["belief"]["lane"][0]]}:
+        believed = (e.table.index[lane] for lane in e.ego["belief"]["lane"])
+        for index in {self.believed.lane_index, *(car.lane_index for car in self.cars), *believed}:
             e.path_of[0, row[index]] = e.routes.row(row[index], self.route)
         kind = world_kind(self.config.base)
         goal = None if kind is None else kind.arrived
         arrived = goal is None or goal(self.world)
-        over = end.terminated or (goal is not None and arrived)
-        e.ego["facts"][0] = bool(self.ego.on_road), over, end.truncated, arrived, end.reward
-        e.score_and_observe(ROW, start)
+        for n, (car, end) in enumerate(zip(self.cars, ends, strict=True)):
+            over = end.terminated or (goal is not None and arrived)
+            e.ego["facts"][n] = bool(car.on_road), over, end.truncated, arrived, end.reward
+        e.score_and_observe(self.rows, start)
 
     @property
     def info(self) -> dict[str, Any]:
         """What the last policy step has come to."""
-        own = {name: float(values[0]) for name, values in self.episodes.own_info.items()}
-        return info_of(self.episodes.ego["outcome"], 0) | own
+        return self.info_of(0)
+
+    def info_of(self, row: int) -> dict[str, Any]:
+        """What it has come to for one of ``cars``."""
+        own = {name: float(values[row]) for name, values in self.episodes.own_info.items()}
+        return info_of(self.episodes.ego["outcome"], row) | own
 
     def _intents(self) -> None:
         """Targets of meta-actions, into the records."""

@@ -257,10 +257,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(WORLD_SEEDS)))
         add_followers(self.world, self.config.traffic, episode_seed)
         self._duration_s = duration_s(self.config, self.world)
-        context = set_scene(self.world, self.config, episode_seed, faults)
-        self.belief_loop = loop = BeliefLoop(self.world, self.config, context)
+        self.belief_loop = loop = self._begin(episode_seed, faults)
         self.observer.reset()
-        loop.score_and_observe(WorldStep(False, False, 0.0), start=True)
+        loop.score_and_observe([WorldStep(False, False, 0.0)] * len(loop.cars), start=True)
         info = loop.info
         self._show(info)
         return self._observe(), info
@@ -274,19 +273,25 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
             Before the first reset, or for a command outside the action space.
         """
         loop = self._loop()
-        command = checked_command(self.action_space, action)
-        # Drive all simulation steps; the belief follows all but the last. Worlds add and remove vehicles after the last
-        # one, so it is sensed here.
-        end = loop.step_world(command)
+        self.advance(loop, checked_command(self.action_space, action))
+        info, outcome = loop.info, loop.episodes.ego["outcome"][0]
+        over = bool(outcome["terminated"] > 0.0), bool(outcome["truncated"] > 0.0)
+        self._show(info)
+        return self._observe(), float(outcome["reward"]), *over, info
+
+    def advance(self, loop: BeliefLoop, command: Any) -> None:
+        """Drive until the next decision, and score and observe.
+
+        The belief follows all simulation steps but the last in :meth:`.BeliefLoop.simulate`. Worlds add and remove
+        vehicles after the last one, so it is sensed here.
+        """
+        ends = loop.step_world(command)
         loop.sense()
         loop.locate()
         loop.perceive()
         if loop.time_s >= self._duration_s - 0.5 * self.dt_s:
-            end = end._replace(truncated=True)
-        loop.score_and_observe(end)
-        info, outcome = loop.info, loop.episodes.ego["outcome"][0]
-        self._show(info)
-        return self._observe(), float(outcome["reward"]), bool(outcome["terminated"] > 0.0), end.truncated, info
+            ends = [end._replace(truncated=True) for end in ends]
+        loop.score_and_observe(ends)
 
     def render(self) -> NDArray[np.uint8] | None:
         """The picture of now, (height, width, 3), under ``rgb_array``; ``human`` shows it as the drive goes."""
@@ -325,19 +330,23 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     # Helpers
 
-    def _observe(self) -> Any:
-        """The observation of now.
+    def _begin(self, seed: int, faults: tuple[Fault, ...] | None) -> BeliefLoop:
+        """The loop of an episode in the world as it has been reset."""
+        return BeliefLoop(self.world, self.config, set_scene(self.world, self.config, seed, faults))
+
+    def _observe(self, row: int = 0, observer: Observer | None = None) -> Any:
+        """The observation of now, of a row of the loop.
 
         Raises
         ------
         InputError
             An entry is NaN.
         """
-        frame = self._loop().episodes.frame[0]
+        frame = self._loop().episodes.frame[row]
         if np.isnan(frame.sum()):
             names = [e.column for e, bad in zip(self.observer.index, np.isnan(frame), strict=True) if bad]
             raise InputError(f"{', '.join(names)} must be a number, got nan: correct the source of the entry")
-        return self.observer.observe(frame)
+        return (observer or self.observer).observe(frame)
 
     def _loop(self) -> BeliefLoop:
         if self.belief_loop is None:

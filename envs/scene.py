@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.episodes import Episodes, empty_cars, reach_of
 from lanebound.envs.batch.faults import NO_FAULTS
+from lanebound.envs.batch.fleet import FleetNavigation
 from lanebound.envs.batch.lanes import LaneTable
 from lanebound.envs.batch.navigation import NavigationBatch, Starts, draw_starts
 from lanebound.envs.batch.perception import PerceptionBatch
@@ -44,6 +45,7 @@ __all__ = ["MAP_SHARE", "EpisodeContext", "alert_limits_m", "begin_all", "durati
            "map_bound_m", "navigator_config", "set_scene"]  # fmt: skip
 
 ENDLESS_S = 300.0  # of sky for worlds that set no duration
+FLEET = "fleet"  # stream of the seeds of the other vehicles of a fleet
 MARGIN_S = 60.0  # of sky beyond what an episode is expected to last
 MAP_SHARE = 0.1  # of the integrity risk, for the map, whose Gaussian bound a small share widens least
 
@@ -214,50 +216,67 @@ def _episodes(
     count: int,
     vehicles: int,
     capacity: int,
+    views: int = 1,
 ) -> Episodes:
     """N episodes at some hours, of up to V vehicles, of which C others have a slot.
 
     city, street, slots : seed and site of the first city, its street, and how many there are at a time
+    views : rows of each episode, with another vehicle as the ego; more than one for a fleet, N is 1 then
     """
     settings = navigator_config(config, alert_limits_m(world, config))
     uses_sensors = config.navigation.source.uses_sensors
-    navigate = capacity > 0 and config.perception.others_navigate
+    navigate = capacity > 0 and (config.perception.others_navigate or views > 1)
     recorded = capacity > 0 and config.perception.has_radio and not navigate
     routes = routes_of(world.road.network, reach_of(config))
     steps = config.navigation.steps_per_epoch(config.simulation_hz)
     step_s = 1.0 / config.simulation_hz
     navigation = None
-    if uses_sensors or navigate:
+    if uses_sensors or (navigate and config.perception.others_navigate):
         span_s = config.navigation.warm_up_s + duration_s(config, world) + MARGIN_S
         skies = Skies.of(settings.sky, span_s, hours)
         cities = Cities(streets, streets.sites(routes.table), slots, city, street)
         members = 1 + (capacity if navigate else 0)
-        navigation = NavigationBatch(
+        navigation = (NavigationBatch if views == 1 else FleetNavigation)(
             config.navigation, settings, skies, cities, cities.ahead(config.observation.satellites_m),
             routes.table.lanes, count, members, step_s, steps,
             None if settings.context is None else road_map_of(world.road.network)[0],
         )  # fmt: skip
     perception = PerceptionBatch(
-        config.perception, count, capacity, vehicles, step_s * steps, recordings_of(config) if recorded else None
+        config.perception,
+        count * views,
+        capacity,
+        vehicles,
+        step_s * steps,
+        recordings_of(config) if recorded else None,
     )
     rules = rules_of(config, alert_limits_m(world, config), map_bound_m(config, settings) if uses_sensors else 0.0)
-    return Episodes(config, rules, routes, empty_cars(count, vehicles), navigation, perception)
+    return Episodes(config, rules, routes, empty_cars(count * views, vehicles), navigation, perception)
 
 
 @dataclass(frozen=True)
 class EpisodeContext:
-    """What the episode of a single environment takes place in: its street, and the episode as one row."""
+    """What the episode of a single environment takes place in: its street, and the episode as one row.
+
+    The episode of a fleet has a row for each vehicle as the ego, with a seed of its own.
+    """
 
     street: Street
     episodes: Episodes
-    seed: int
+    seeds: list[int]
     starts: Starts
+
+    @property
+    def seed(self) -> int:
+        """Of the episode."""
+        return self.seeds[0]
 
 
 def set_scene(
-    world: AbstractEnv, config: EnvConfig, seed: int, faults: tuple[Fault, ...] | None = None
+    world: AbstractEnv, config: EnvConfig, seed: int, faults: tuple[Fault, ...] | None = None, fleet: bool = False
 ) -> EpisodeContext:
     """What an episode takes place in, all of it drawn from ``seed`` by named streams.
+
+    ``fleet``: every vehicle is the ego of a row, the first one that of the world; the others have seeds of their own.
 
     ``faults`` takes the place of the random campaign when given; their times count from the start of the episode, and
     vehicle 0 is the ego, 1 and up the slots of the others, None all of them.
@@ -270,20 +289,21 @@ def set_scene(
     others = sum(v is not world.vehicle for v in world.road.vehicles)
     kind = world_kind(config.base)
     capacity = min(config.slots, others + (0 if kind is None else kind.newcomers))
-    crew = np.ones((1, capacity if config.perception.others_navigate else 0), dtype=np.bool_)
-    starts = draw_starts([seed], config.cities, HOURS, crew, config.navigation.source.uses_sensors)
+    seeds = [seed, *named_generator(seed, FLEET).integers(2**62, size=others if fleet else 0).tolist()]
+    crew = np.zeros((len(seeds), capacity if fleet or config.perception.others_navigate else 0), dtype=np.bool_)
+    crew[0] = True
+    starts = draw_starts(seeds, config.cities, HOURS, crew, config.navigation.source.uses_sensors)
     hour, streets = int(starts.hour[0]), Streets.of(world, config)
     site = streets.site_of(world.vehicle.lane_index)
     city = streets.seeds[site] if streets.seeds else int(starts.city[0]), site
     street = streets(*city)
-    episodes = _episodes(world, config, streets, city, street, 1, [hour], 1, 1 + others, capacity)
+    episodes = _episodes(world, config, streets, city, street, 1, [hour], 1, 1 + others, capacity, len(seeds))
     navigation, ends_s = episodes.navigation, duration_s(config, world)
     if faults is not None:
         give_faults(episodes, 0, faults, ends_s)
     elif navigation is not None:
         _put(navigation, 0, config, _drawn(episodes, 0, ends_s, capacity, seed))
-    here = np.zeros(1, dtype=np.int64)
-    return EpisodeContext(street, episodes, seed, starts._replace(hour=here))
+    return EpisodeContext(street, episodes, seeds, starts._replace(hour=np.zeros_like(starts.hour)))
 
 
 def give_faults(episodes: Episodes, row: int, faults: Sequence[Fault], duration_s: float) -> None:

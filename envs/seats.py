@@ -13,6 +13,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.vehicle.kinematics import Vehicle
 
 from lanebound.envs.batch.episodes import Episodes, empty_cars
+from lanebound.envs.batch.fleet import order_of
 from lanebound.envs.batch.lanes_kernel import NONE
 from lanebound.envs.batch.navigation import FLEET_STARTS, fleet_generator
 from lanebound.envs.records import LaneIndex
@@ -22,7 +23,7 @@ __all__ = ["Seats"]
 
 
 class Seats:
-    """The vehicles of a world as the first row of ``episodes.cars``.
+    """The vehicles of a world as the first row of ``episodes.cars``; each row of a fleet has another ego.
 
     Attributes
     ----------
@@ -44,6 +45,7 @@ class Seats:
             self._generator.standard_normal((FLEET_STARTS, self.capacity, 3))
         self._named = 1 + len(others)  # those that are there have the names 1, 2, ...
         self._seat(others)
+        self._order = order_of(len(self.vehicles) if len(episodes.cars) > 1 else 0)
 
     def _others(self) -> list[Vehicle]:
         ego = self.world.vehicle
@@ -110,6 +112,9 @@ class Seats:
             cars["crashed"][:n] = [v.crashed for v in vehicles]
             if self.episodes.table.has_crossings:
                 cars["onward"][:n] = [_onward(v, row) for v in vehicles]
+        every = self.episodes.cars
+        if len(every) > 1:
+            every[1:], every["slot"][1:] = cars[self._order[1:]], cars["slot"]
 
 
 def _onward(vehicle: Vehicle, row: Mapping[LaneIndex, int]) -> int:

@@ -145,7 +145,8 @@ def make_world(
 ACTION_NAMES = {"DiscreteMetaAction": "meta", DIRECT: "continuous"}
 """Values of ``action`` of an environment, by the action types of highway-env."""
 WHOLE = {"lanes_count": (1, 20), "vehicles_count": (0, 1000), "layout": (0, 10**6), "initial_vehicle_count": (0, 1000),
-         "incoming_vehicle_destination": (0, 2), "platoon": (1, 4), "route": (0, 1000), "roads": (1, 64)}  # fmt: skip
+         "incoming_vehicle_destination": (0, 2), "platoon": (1, 4), "vehicles": (4, 8), "place": (2, 8),
+         "route": (0, 1000), "roads": (1, 64)}  # fmt: skip
 """Keys of worlds that are whole numbers, with the least and most: highway-env fails far from what is wrong."""
 NUMBERS = {"vehicles_density": (0.01, 10.0), "initial_speed": (0.0, 60.0), "lane_width": (2.0, 20.0),
            "ego_spacing": (0.01, 100.0), "duration": (0.1, 1e6), "spawn_probability": (0.0, 1.0),
@@ -174,6 +175,8 @@ def _check_figures(config: Mapping[str, Any]) -> None:
             f"world.destination must be one of {', '.join(DESTINATIONS)}, or None to draw one, got "
             f"{config['destination']!r}: correct it"
         )
+    if (place := config.get("place")) is not None and place > config["vehicles"]:
+        raise ConfigError(f"world.place must be at most world.vehicles = {config['vehicles']}, got {place}: lower it")
     lane, count = config.get("initial_lane_id"), config.get("lanes_count", 1)
     if lane is not None and not (isinstance(lane, int) and 0 <= lane < count):
         raise ConfigError(f"world.initial_lane_id must be None or 0 to {count - 1} on {count} lanes, got {lane!r}: "

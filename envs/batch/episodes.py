@@ -23,11 +23,10 @@ from lanebound.envs.batch import view_kernel as vk
 from lanebound.envs.batch.lanes import LaneTable
 from lanebound.envs.batch.lanes_kernel import NONE
 from lanebound.envs.batch.motion_kernel import MOTION
-from lanebound.envs.batch.navigation import NavigationBatch, Starts, fixes_of, heard_at
+from lanebound.envs.batch.navigation import NavigationBatch, Starts, heard_at
 from lanebound.envs.batch.perception import PerceptionBatch, perceives
 from lanebound.envs.batch.records_kernel import CAR, EGO
 from lanebound.envs.batch.route_map import Reach, Routes
-from lanebound.envs.batch.sky_ahead_kernel import SkyAhead
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.info import info_entries, own_info
 from lanebound.envs.observation.index import Observed, Source, entries, sources_of
@@ -185,7 +184,7 @@ class Episodes:
         if self.config.lane_sensor is not None:
             rk.open_rows(0, rows.size, rows, self.cars, self.ego, named_states(seeds, "lane_sensor"), lanes, rules)
         if self._sensed and approach is not None and starts is not None:
-            fixes, shift = fixes_of(approach.solution), self.config.navigation.map_sigma_m * starts.map_shift
+            fixes, shift = approach.fixes, self.config.navigation.map_sigma_m * starts.map_shift
             rk.begin_rows(0, rows.size, rows, local, fixes, shift, self.ego, lanes, rules)
         else:
             rk.give_rows(0, rows.size, rows, self.cars, self.ego, lanes, rules)
@@ -194,9 +193,8 @@ class Episodes:
         if self.perception.recordings is not None:
             epoch_s = float(rules["epoch_s"][0])
             heard = [(time_s, None) for time_s in heard_at(epoch_s, self.config.navigation.epochs_before(epoch_s))]
-        for time_s, solution in heard if perceives(self.config.perception) else ():
-            of_all, times = None if solution is None else fixes_of(solution), np.full(rows.size, time_s)
-            self.perception.perceive(rows, local, times, of_all, self.cars, self.ego)
+        for time_s, of_all in heard if perceives(self.config.perception) else ():
+            self.perception.perceive(rows, local, np.full(rows.size, time_s), of_all, self.cars, self.ego)
 
     def replace_cars(self, cars: Records) -> None:
         """Other vehicles in place of those there have been, perhaps more of them."""
@@ -242,7 +240,7 @@ class Episodes:
         """Score a policy step, or a start, find what is shown of the egos, and fill the frames."""
         p, n, ahead = self.perception.pictures, self.navigation, None
         if n is not None and self._sensed and self.views.sky.size:
-            ahead = SkyAhead(n.where, n.forecast, n.sky)
+            ahead = n.ahead
         run_rows(
             rk.conclude_rows, rows.size, rows, self.cars, self.ego, p.picture, p.perceived, self.path_of,
             self.table.lanes, self.routes.map, self.rules, self.views, ahead, self._sources, self.frame, start,
@@ -266,8 +264,8 @@ class Episodes:
         navigation = self.navigation
         if navigation is None or not self._sensed:
             return {}
-        states, at = navigation.navigator.state.extensions, navigation.at(rows)
-        return {name: state[at] for name, state in states.items()}
+        states = navigation.navigator.state.extensions
+        return {name: navigation.by_ego(state)[rows, 0] for name, state in states.items()}
 
 
 def _taken(what: str, source: Source, observed: Observed) -> Array:

@@ -21,7 +21,7 @@ from lanebound.envs.batch.faults import EpisodeFaults
 from lanebound.envs.batch.lanes_kernel import Lanes
 from lanebound.envs.batch.motion_kernel import MOTION, Whereabouts, begin_motion, fill_motion
 from lanebound.envs.batch.skies import Cities, Skies
-from lanebound.envs.batch.sky_ahead_kernel import Forecast, SkyRows
+from lanebound.envs.batch.sky_ahead_kernel import Forecast, SkyAhead, SkyRows
 from lanebound.envs.batch.streams import CrewStreams
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.records import azimuth_of, enu_of
@@ -111,10 +111,10 @@ def fixes_of(solution: Solution) -> Records:
 
 @dataclass(frozen=True)
 class Approach:
-    """How episodes have been driven up to: the solution at the start, and those heard before (time, solution)."""
+    """How episodes have been driven up to: FIX (n M,) at the start, and those heard before (time, FIX)."""
 
-    solution: Solution
-    heard: list[tuple[float, Solution]]
+    fixes: Records
+    heard: list[tuple[float, Records]]
 
 
 class NavigationBatch:
@@ -205,8 +205,17 @@ class NavigationBatch:
         return sum(_sizes(held).values())
 
     def at(self, rows: Rows) -> Rows:
-        """The rows of the egos among all vehicles."""
+        """The rows of the egos in ``fixes``."""
         return rows * self.vehicles
+
+    def by_ego(self, of_vehicles: NDArray[Any]) -> NDArray[Any]:
+        """What there is of all vehicles (N M, ...) as (N, M, ...), the ego first, then the others by slot."""
+        return of_vehicles.reshape(self.count, self.vehicles, *of_vehicles.shape[1:])
+
+    @property
+    def ahead(self) -> SkyAhead:
+        """What satellites ahead of the egos are predicted from."""
+        return SkyAhead(self.where, self.forecast, self.sky)
 
     # Starts
 
@@ -256,7 +265,7 @@ class NavigationBatch:
     ) -> Approach:  # fmt: skip
         """Drive all vehicles straight up to their starts, an epoch after another."""
         every, steps = np.arange(rows.size), self.epochs_before * self.steps
-        truth, heard = self._at_rest(rows), list[tuple[float, Solution]]()
+        truth, heard = self._at_rest(rows), list[tuple[float, Records]]()
         end, ahead = np.zeros((2, *motions.shape, 2))
         before_s = self.epochs_before * self.epoch_s
         begin_motion(rows, cars, self.lanes, self.where, self.step_s, before_s, motions, end, ahead, truth)
@@ -278,7 +287,7 @@ class NavigationBatch:
             fill_motion(motions, every, self.step_s, self._down, truth)
             self.measurements = navigator.measure(Truth.of(clock, self.epoch_s, truth), self.skies.view(sky, index))
             if last is not None or (self.vehicles > 1 and time_s in on_air):
-                heard.append((time_s, navigator.solve(self.measurements)))
+                heard.append((time_s, fixes_of(navigator.solve(self.measurements))))
             else:
                 navigator.follow(self.measurements)
         return Approach(heard[-1][1], heard)
@@ -329,7 +338,7 @@ class NavigationBatch:
         """Locate all vehicles by the measurements alone."""
         assert self.measurements is not None
         self.solution = self.navigator.solve(self.measurements)
-        self.fixes = fixes_of(self.solution)
+        self.fixes = self.by_ego(fixes_of(self.solution)).ravel()
 
     def view(self) -> Any:
         """The skies over all vehicles at the last epoch; no satellites for a missing vehicle."""
@@ -349,7 +358,7 @@ class NavigationBatch:
         their levels; None where all are honest."""
         if self.effects is None:
             return None
-        others = self.effects.vehicles.reshape(self.count, self.vehicles)[:, 1:]
+        others = self.by_ego(self.effects.vehicles)[:, 1:]
         errors = np.concatenate([others["v2v_offset_enu_m"], others["v2v_pl_scale"][..., None]], axis=2)
         return errors if (errors != HONEST).any() else None
 

@@ -2,6 +2,7 @@
 
 from lanebound.envs.ids.guidance import Guidance
 from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, Roundabout
+from lanebound.envs.ids.platoon import Platoon
 from lanebound.envs.ids.preset import CONTINUOUS, META, Preset, has_engine, id_of, refuse_misplaced
 from lanebound.envs.ids.priced import PRICED, PRICES
 from lanebound.envs.ids.registry import (
@@ -37,6 +38,7 @@ __all__ = [
     "Intersection",
     "LaneKeeping",
     "Merge",
+    "Platoon",
     "Preset",
     "Racetrack",
     "Roundabout",

@@ -9,6 +9,7 @@ import gymnasium
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.ids.guidance import Guidance
 from lanebound.envs.ids.highway import Highway, Intersection, Merge, Racetrack, Roundabout
+from lanebound.envs.ids.platoon import Platoon
 from lanebound.envs.ids.preset import Preset, has_engine, id_of
 from lanebound.envs.ids.priced import PRICED
 from lanebound.envs.ids.streets import CarFollowing, CityStreets, LaneKeeping, UrbanCanyon
@@ -42,7 +43,7 @@ CLASSES: tuple[type[Preset], ...] = (
     Racetrack,
     UrbanCanyon,
 )
-MORE: tuple[type[Preset], ...] = (*PRICED, WorkZone, Guidance, Tolling, CityStreets)
+MORE: tuple[type[Preset], ...] = (*PRICED, WorkZone, Guidance, Tolling, CityStreets, Platoon)
 """Classes of ids of ours that suites, pages of results and shipped policies do not drive."""
 
 IDS: dict[str, dict[str, Any]] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from lanebound.envs.vector.drivers_kernel import SPEED_MOST_MPS, roll, steer_along
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["drive_profiles"]
+__all__ = ["drive_profiles", "lead"]
 
 
 @jit(inline=True)
@@ -21,3 +21,10 @@ def drive_profiles(v, lanes, profile, step, dt):  # type: ignore[no-untyped-def]
             row = profile[min(i, profile.shape[0]) - 1]
             a = (row[min(step, row.shape[0] - 1)] - v.speed[i]) / dt
         roll(v, i, steering, a, -SPEED_MOST_MPS, SPEED_MOST_MPS, lanes, dt)
+
+
+@jit(inline=True)
+def lead(v, count, profile, step, dt):  # type: ignore[no-untyped-def]
+    """The accelerations to the speeds of ``profile`` (K, S) of the first K others, where there are profiles."""
+    for i in range(1, min(profile.shape[0] + 1, count) if profile.shape[1] > 1 else 1):
+        v.acceleration[i] = (profile[i - 1, min(step, profile.shape[1] - 1)] - v.speed[i]) / dt

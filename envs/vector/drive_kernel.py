@@ -22,7 +22,7 @@ from lanebound.envs.batch.next_lane_kernel import keep_to_route
 from lanebound.envs.batch.records_kernel import GIVEN
 from lanebound.envs.batch.rows_kernel import carry_on
 from lanebound.envs.vector.collisions_kernel import collide_all, collide_ego, collide_sorted
-from lanebound.envs.vector.course_kernel import drive_profiles
+from lanebound.envs.vector.course_kernel import drive_profiles, lead
 from lanebound.envs.vector.crossing_kernel import give_way
 from lanebound.envs.vector.drivers_kernel import (
     NUMBERS,
@@ -171,20 +171,22 @@ def run_network(first, last, rows, frames, ends, codes, cars, drivers, egos, mot
     for e in rows[first:last]:
         here = cars[e, : egos[e].vehicles]
         v = _begin(e, codes, here, drivers[e], egos[e], lanes, rules[0], traffic, numbers, wholes)
-        _network(frames, v, here, drivers[e], egos[e], motions[e], lanes, rules[0], traffic, stations, order)
+        _network(e, frames, v, here, drivers[e], egos[e], motions[e], lanes, rules[0], traffic, stations, order)
         _end(v, here, drivers[e], egos[e], lanes, rules[0], traffic.world[0], ends)
         fill_onward(here, drivers[e], egos[e], lanes, traffic.roads.routes)
 
 
 @jit(borrows=True)
-def _network(frames, v, cars, drivers, ego, motions, lanes, rules, traffic, stations, order):  # type: ignore[no-untyped-def]
-    """:func:`run_network` for one environment; stations (V, L) and order (V,) are scratch."""
+def _network(e, frames, v, cars, drivers, ego, motions, lanes, rules, traffic, stations, order):  # type: ignore[no-untyped-def]
+    """:func:`run_network` for environment e; stations (V, L) and order (V,) are scratch."""
     world, roads, dt, count = traffic.world[0], traffic.roads, rules.step_s, cars.shape[0]
     for frame in range(frames):
         steering, acceleration, hold = command_ego(ego, v, lanes, roads.routes, rules)
         step = ego.score.steps + 1
         ago = traffic.before + step
         decide_network(v, count, drivers, lanes, traffic.idm[0], roads, rules.meta != 0, ago, stations, order)
+        take_effect(v, count, drivers, dt)
+        lead(v, count, traffic.profile[e], step, dt)
         move_ego(v, steering, acceleration, hold, world, lanes, dt)
         ego.score.steps = step
         wander_each(v, count, drivers, traffic.wander, step, dt)

@@ -23,6 +23,7 @@ from lanebound.envs.vector.network_kernel import DRIVERS, Roads
 from lanebound.envs.worlds import Support, world_kind, world_kinds
 from lanebound.envs.worlds.crossing import CrossingRoad, ways_through
 from lanebound.envs.worlds.drivers import CityDriver, IntersectionDriver, LeadVehicle
+from lanebound.envs.worlds.followers import PlatoonDriver
 from lanebound.envs.worlds.idm_parameters_kernel import BRISK, CALM, IdmParameters, idm_parameters
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import nearest
@@ -34,6 +35,7 @@ INSTEAD = "or make the same environments with vectorization_mode='sync' or 'asyn
 TRAFFIC: dict[str, tuple[Any, type, IdmParameters | None]] = {
     "course": (run_course, LeadVehicle, None),
     "city": (run_network, CityDriver, CALM),
+    "platoon": (run_network, PlatoonDriver, CALM),
     "network": (run_network, IDMVehicle, BRISK),
     # highway-env's intersection gives its drivers parameters when it is made
     "crossing": (run_network, IntersectionDriver, None),

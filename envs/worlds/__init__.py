@@ -13,6 +13,7 @@ from lanebound.envs.worlds.kinds import (
     world_kind,
     world_kinds,
 )
+from lanebound.envs.worlds.platoon import PlatoonWorld
 from lanebound.envs.worlds.straights import exit_support, turn_support, two_way_support
 from lanebound.envs.worlds.streets import CarFollowingWorld, LaneKeepingWorld, UrbanCanyonWorld
 from lanebound.envs.worlds.tolling import TollingWorld
@@ -22,6 +23,7 @@ __all__ = [
     "CarFollowingWorld",
     "GuidanceWorld",
     "LaneKeepingWorld",
+    "PlatoonWorld",
     "Support",
     "TollingWorld",
     "UrbanCanyonWorld",
@@ -38,6 +40,7 @@ for _kind in (
     WorldKind("CarFollowingWorld", CarFollowingWorld, CarFollowingWorld.support),
     WorldKind("UrbanCanyonWorld", UrbanCanyonWorld, UrbanCanyonWorld.support),
     WorldKind("WorkZoneWorld", WorkZoneWorld, WorkZoneWorld.support),
+    WorldKind("PlatoonWorld", PlatoonWorld, PlatoonWorld.support),
     WorldKind("GuidanceWorld", GuidanceWorld, GuidanceWorld.support, arrived=has_taken_exit),
     WorldKind("TollingWorld", TollingWorld, TollingWorld.support),
     WorldKind("highway-v0", None, motorway_support),

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.closures import Closure, barriers
 from lanebound.envs.worlds.drivers import LeadVehicle
+from lanebound.envs.worlds.followers import PlatoonDriver
 from lanebound.envs.worlds.kinds import Refusal, Starter, Support
 from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.envs.worlds.networks import Section, StreetNetwork
@@ -69,7 +70,8 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     A subclass creates the road (``_network``) and draws the initial states of an episode (``draw_seats``). ``OTHERS``
     is the class of the other vehicles, ``TRAFFIC`` the traffic of the vector engine that moves them (``course``:
-    LeadVehicle, ``city``: CityDriver, ``network``: IDMVehicle), ``most_vehicles`` their largest number with the ego,
+    LeadVehicle, ``city``: CityDriver, ``platoon``: PlatoonDriver, ``network``: IDMVehicle), ``most_vehicles`` their
+    largest number with the ego,
     ``ENDS_M`` the distance from the end of the road at which an episode ends (None for roads without an end).
     ``closure`` is the lane that closes in the episode, if any (``draw_closure``), ``tolled`` the tolled road of each
     geo-object of the network (``draw_tolls``).
@@ -128,7 +130,7 @@ class World(AbstractEnv):  # type: ignore[misc]
         """Draw the initial states of an episode, the ego first, and the speed profile of the others, if any.
 
         A profile has a speed for each simulation step, see :func:`~.drivers.speed_profile`; LeadVehicle needs one. With
-        several (K, S) each of the others has its own.
+        several (K, S) each of the others has its own. Of PlatoonDriver the first K have profiles.
         """
         raise NotImplementedError
 
@@ -149,12 +151,16 @@ class World(AbstractEnv):  # type: ignore[misc]
         """Place the ego and the others."""
         (ego, *others), speeds = drawn_seats(self, self.np_random)
         self._place_ego(ego.lane_index, ego.along_m, ego.speed_mps)
+        rows: Any = () if speeds is None else np.atleast_2d(speeds)
+        dt_s = 1.0 / self.config["simulation_frequency"]
         for k, seat in enumerate(others):
             driver: Any = self.OTHERS.make_on_lane(self.road, seat.lane_index, seat.along_m, seat.speed_mps)
             if isinstance(driver, IDMVehicle):
                 driver.target_speed, driver.DELTA = seat.target_mps, seat.exponent
-            if isinstance(driver, LeadVehicle) and speeds is not None:
-                driver.follow(speeds if speeds.ndim == 1 else speeds[min(k, len(speeds) - 1)])
+            if isinstance(driver, PlatoonDriver):
+                driver.share = min(dt_s / driver.LAG_S, 1.0)
+            if k < len(rows) or (len(rows) and isinstance(driver, LeadVehicle)):
+                driver.follow(rows[min(k, len(rows) - 1)])
             self.road.vehicles.append(driver)
 
     def _reset(self) -> None:
@@ -256,7 +262,7 @@ class World(AbstractEnv):  # type: ignore[misc]
     @staticmethod
     def _profile_steps(world: AbstractEnv) -> int:
         """Length of the speed profile of the other vehicles."""
-        if not issubclass(world.OTHERS, LeadVehicle) or world.most_vehicles(world.config) < 2:
+        if not hasattr(world.OTHERS, "follow") or world.most_vehicles(world.config) < 2:
             return 1
         return int(np.ceil(world.config["duration"] / (1.0 / world.config["simulation_frequency"]))) + 1
 
@@ -270,7 +276,7 @@ class World(AbstractEnv):  # type: ignore[misc]
         """Options that the engine does not support, and rules of a subclass that it does not know."""
         kind, name = type(world), "neighbour_vehicles_connected_lanes"
         found: list[Refusal] = []
-        if world.TRAFFIC == "city" and not world.config[name]:
+        if world.TRAFFIC in ("city", "platoon") and not world.config[name]:
             found.append((f"world.{name}", "True", False))
         if world.TRAFFIC in OF_HIGHWAY_ENV:
             found.append(("TRAFFIC of the world", "course, city or network", world.TRAFFIC))
@@ -310,6 +316,7 @@ def drawn_seats(world: World, rng: np.random.Generator) -> tuple[list[Seat], Arr
 def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
     """Starter that writes the initial states drawn by a world to the records of the engine."""
     network, delay = world.road.network, getattr(world.OTHERS, "LANE_CHANGE_DELAY", 1.0)
+    lag_s, brake_mps2 = getattr(world.OTHERS, "LAG_S", 0.0), getattr(world.OTHERS, "brake_mps2", 0.0)
 
     def start(rng: np.random.Generator, cars: Records, drivers: Records, profile: Array) -> int:
         world.closure, world.tolled = world.draw_closure(rng), world.draw_tolls(rng)
@@ -319,6 +326,7 @@ def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
         for car, driver, seat in zip(cars, drivers, seats, strict=False):  # cars beyond the seats are empty places
             lane, rest = network.get_lane(seat.lane_index), (seat.target_mps, seat.exponent, delay)
             put_on_lane(car, driver, table, lane, seat.along_m, seat.speed_mps, *rest)
+            driver["lag_s"], driver["brake_mps2"] = lag_s, brake_mps2
         return len(seats)
 
     return start

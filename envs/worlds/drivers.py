@@ -11,6 +11,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 from pydantic import field_validator
 
+from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.idm_parameters_kernel import (
     CALM,
     LINE_BRAKE_MPS2,
@@ -19,9 +20,11 @@ from lanebound.envs.worlds.idm_parameters_kernel import (
     REACTION_S,
     START_MPS2,
 )
+from lanebound.envs.worlds.networks import StreetNetwork, advance
 from lanebound.integrity.core.config import Config, Field
 
-__all__ = ["CityDriver", "IntersectionDriver", "LeadVehicle", "SpeedProfileConfig", "follow_all", "speed_profile"]
+__all__ = ["CityDriver", "IntersectionDriver", "LeadVehicle", "SpeedProfileConfig", "follow_all", "follow_profile",
+           "slow_for_bends", "speed_profile"]  # fmt: skip
 
 Array = NDArray[np.float64]
 FELT_S = 1.0  # lag of the vehicles of a platoon, as of late drivers
@@ -122,6 +125,21 @@ def follow_all(speeds: Array, gaps_m: Sequence[float], dt_s: float) -> Array:
     return np.array(rows[::-1])
 
 
+def slow_for_bends(speeds: Array, network: StreetNetwork, index: LaneIndex, along_m: float, dt_s: float) -> Array:
+    """Speeds of a profile (S,) as a vehicle drives them from a place on: slower in bends, as :class:`CityDriver` is.
+
+    After a bend it speeds up with at most the comfortable acceleration :data:`CALM`.
+    """
+    out = [min(float(speeds[0]), network.get_lane(index).advised_speed(along_m))]
+    for wanted in speeds[1:].tolist():
+        speed = out[-1]
+        there, s = advance(network, index, along_m, speed * REACTION_S)
+        most = min(CALM.comfort, (network.get_lane(there).advised_speed(s) - speed) / REACTION_S)
+        out.append(max(min(wanted, speed + most * dt_s), 0.0))
+        index, along_m = advance(network, index, along_m, 0.5 * (speed + out[-1]) * dt_s)
+    return np.array(out)
+
+
 class LeadVehicle(ControlledVehicle):  # type: ignore[misc]
     """A vehicle that keeps its lane and drives a speed profile; it ignores all other vehicles."""
 
@@ -133,11 +151,16 @@ class LeadVehicle(ControlledVehicle):  # type: ignore[misc]
 
     def step(self, dt: float) -> None:
         """Move with the acceleration to the next speed of the profile; a crashed vehicle brakes as in highway-env."""
-        profile = getattr(self, "profile_mps", None)
-        if profile is not None:
-            self.steps_driven = min(self.steps_driven + 1, len(profile) - 1)
-            self.action["acceleration"] = (float(profile[self.steps_driven]) - self.speed) / dt
+        follow_profile(self, dt)
         super().step(dt)
+
+
+def follow_profile(vehicle: Vehicle, dt: float) -> None:
+    """Command the acceleration to the next speed of the profile of a vehicle, if it has one."""
+    profile = getattr(vehicle, "profile_mps", None)
+    if profile is not None:
+        vehicle.steps_driven = min(vehicle.steps_driven + 1, len(profile) - 1)
+        vehicle.action["acceleration"] = (float(profile[vehicle.steps_driven]) - vehicle.speed) / dt
 
 
 class CityDriver(IDMVehicle):  # type: ignore[misc]

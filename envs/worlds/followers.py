@@ -15,6 +15,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from pydantic import Field, model_validator
 
+from lanebound.envs.worlds.drivers import FELT_S, CityDriver, LeadVehicle, follow_profile
 from lanebound.envs.worlds.idm_parameters_kernel import STAYS
 from lanebound.envs.worlds.seating import put_on_lane
 from lanebound.integrity.core.config import Config
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
     from lanebound.integrity.core.records import Records
 
-__all__ = ["MOTORWAYS", "LateDriver", "TrafficConfig", "add_followers", "seat_followers"]
+__all__ = ["MOTORWAYS", "LateDriver", "PlatoonDriver", "TrafficConfig", "add_followers", "seat_followers"]
 
 MOTORWAYS = ("highway-v0", "highway-fast-v0")
 """Worlds that have room behind the ego; elsewhere it begins at the start of a road, or has followers already."""
@@ -76,6 +77,19 @@ class LateDriver(IDMVehicle):  # type: ignore[misc]
             decided = max(float(self.action["acceleration"]), -self.brake_mps2)
             self.felt_mps2 += (decided - self.felt_mps2) * self.share
             self.action["acceleration"] = self.felt_mps2
+
+
+class PlatoonDriver(LateDriver, CityDriver):
+    """A city driver that reacts late, or drives a profile of speeds, as the first of a platoon does."""
+
+    LAG_S = FELT_S
+    brake_mps2 = 4.5  # chosen: enough behind the leader of Platoon, often not behind a car that brakes with 6 m/s2
+    follow = LeadVehicle.follow
+
+    def step(self, dt: float) -> None:
+        """Move."""
+        follow_profile(self, dt)
+        super().step(dt)
 
 
 class _Follower(NamedTuple):

@@ -20,7 +20,7 @@ from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.envs.worlds.paths import Path, Piece, Pose, bend, rounded_polygon, straight
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["CITY_SECTIONS", "Section", "StreetNetwork", "advance", "city_loop", "long_road", "node_at",
+__all__ = ["Section", "StreetNetwork", "advance", "city_loop", "city_sections", "long_road", "node_at",
            "winding_road"]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -172,8 +172,8 @@ def long_road(layout: int, width_m: float, lanes: int = 1) -> StreetNetwork:
     return network
 
 
-def city_loop(width_m: float) -> StreetNetwork:
-    """Clockwise loop of two lanes around a city, in four edges that are connected on straights: a, b, c, d, a."""
+def city_loop(width_m: float, lanes: int = 2) -> StreetNetwork:
+    """Clockwise loop around a city, in four edges that are connected on straights: a, b, c, d, a."""
     network = StreetNetwork()
     sides = rounded_polygon([(x, y, r) for x, y, r in CITY_CORNERS], CITY_TRANSITION_M)
     for k, node in enumerate(CITY_NODES):
@@ -181,8 +181,14 @@ def city_loop(width_m: float) -> StreetNetwork:
         last = CITY_JOINTS[k + 1] if k + 1 < len(CITY_JOINTS) else len(sides)
         pieces = [piece for _, side in sides[first:last] for piece in side]
         path = Path.of(sides[first][0], _joined(pieces))
-        network.add_road((node, CITY_NODES[(k + 1) % len(CITY_NODES)]), path, 2, width_m)
+        network.add_road((node, CITY_NODES[(k + 1) % len(CITY_NODES)]), path, lanes, width_m)
     return network
+
+
+def city_sections(network: RoadNetwork) -> tuple[Section, ...]:
+    """Surroundings of the loop; ends are limited to the lengths of the edges."""
+    graph = network.graph
+    return tuple((a, b, start, min(end, graph[a][b][0].length), kind) for a, b, start, end, kind in CITY_SECTIONS)
 
 
 def _joined(pieces: list[Piece]) -> list[Piece]:

@@ -16,11 +16,11 @@ from highway_env.vehicle.kinematics import Vehicle
 from lanebound.envs.worlds.base import META, Array, Seat, World
 from lanebound.envs.worlds.drivers import CityDriver, LeadVehicle, SpeedProfileConfig, follow_all, speed_profile
 from lanebound.envs.worlds.networks import (
-    CITY_SECTIONS,
     Section,
     StreetNetwork,
     advance,
     city_loop,
+    city_sections,
     long_road,
     node_at,
     winding_road,
@@ -182,11 +182,8 @@ class UrbanCanyonWorld(World):
 
     @property
     def sections(self) -> tuple[Section, ...]:
-        """Surroundings of the loop; ends are limited to the lengths of the edges."""
-        if self.config["map"] is not None:
-            return ()
-        graph = self.road.network.graph
-        return tuple((a, b, start, min(end, graph[a][b][0].length), kind) for a, b, start, end, kind in CITY_SECTIONS)
+        """Surroundings of the loop."""
+        return city_sections(self.road.network) if self.config["map"] is None else ()
 
     @property
     def surroundings(self) -> tuple[City, ...]:

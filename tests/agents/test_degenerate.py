@@ -28,7 +28,7 @@ def test_who_is_within_the_limit_half_as_often_is_named() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["LaneKeepingPriced", "CarFollowingPriced", "MergePriced", "WorkZone"])
+@pytest.mark.parametrize("name", ["LaneKeepingPriced", "CarFollowingPriced", "MergePriced", "WorkZone", "Platoon"])
 def test_where_stopping_has_a_price_no_policy_without_sense_keeps_the_limit(name: str) -> None:
     found = scores(name, 12, 10_000)
     assert {label: found[SOUND].matched_by(score) for label, score in found.items() if label != SOUND} == {

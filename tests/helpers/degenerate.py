@@ -52,7 +52,7 @@ class Score(NamedTuple):
 
 def is_priced(name: str) -> bool:
     """Whether an id has a price of stopping."""
-    return name.endswith("Priced") or name in ("WorkZone", "Guidance")
+    return name.endswith("Priced") or name in ("WorkZone", "Guidance", "Platoon")
 
 
 def scores(name: str, episodes: int, seed: int, only: Collection[str] = ()) -> dict[str, Score]:

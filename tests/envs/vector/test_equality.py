@@ -23,6 +23,8 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("UrbanCanyon", PERFECT, 30),
     ("UrbanCanyon", {**PERFECT, "action": "continuous", "world": {"vehicles_count": 5}}, 15),
     ("WorkZone", PERFECT, 40),
+    ("Platoon", PERFECT, 40),
+    ("Platoon", {**PERFECT, "action": "meta"}, 20),
     ("Racetrack", {**LAPS, "action_options": {"longitudinal": True}}, 40),
     ("Merge", PERFECT, 30),
     ("Merge", {**PERFECT, "action": "continuous"}, 12),
