@@ -149,7 +149,9 @@ def moments(config: CooperativeStudyConfig, sky: str, number: int, uwb: bool) ->
     links = _Links(config.uwb, city, pairs, rng)
     for truth in drive_of(drives, number, navigator.config.dt_s):
         moving = truth.records[: config.vehicles]
-        units = Truth.between(truth.time_s, truth.dt_s, (places, places), (still, still), (headings, headings), arcs, lanes)
+        units = Truth.between(
+            truth.time_s, truth.dt_s, (places, places), (still, still), (headings, headings), arcs, lanes
+        )
         both = Truth.of(truth.time_s, truth.dt_s, np.concatenate([moving, units.records]))
         measured, place = navigator.measure(both), both.position_enu_m
         near = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=-1) < config.link_m
@@ -269,7 +271,9 @@ def _judged(rows: list[Any], fleet: Fleet, guilty: int, since_s: float) -> dict[
     honest = np.array([v for v in range(fleet.vehicles) if v != guilty])
     error = np.array([np.abs(placed["ekf"].position_m - truth)[honest, :2] for _, truth, placed in rows])
     level = np.array([placed["ekf"].level_m[honest] for _, _, placed in rows])
-    local = np.array([np.linalg.norm((placed["local"].position_m - truth)[honest, :2], axis=-1) for _, truth, placed in rows])
+    local = np.array(
+        [np.linalg.norm((placed["local"].position_m - truth)[honest, :2], axis=-1) for _, truth, placed in rows]
+    )
     assert fleet.bank is not None
     times = {found.node: found.time_s for found in fleet.bank.excluded}
     before = sum(time_s < since_s for node, time_s in times.items() if node == guilty)
@@ -305,7 +309,9 @@ def run_cooperative(
 def _summary(case: str, parts: list[Mapping[str, Any]]) -> dict[str, Any]:
     """Medians over drives of each estimator, or counts of what levels and the search did."""
     if case in ("levels", "vehicle", "unit"):
-        counted = {key: float(np.sum([part[key] for part in parts])) for key in ("epochs", "beyond", "found", "innocent")}
+        counted = {
+            key: float(np.sum([part[key] for part in parts])) for key in ("epochs", "beyond", "found", "innocent")
+        }
         counted["drives"] = float(len(parts))
         counted["level_m"] = float(np.median([part["level_m"] for part in parts]))
         counted["error_m"] = float(np.max([part["error_m"] for part in parts]))

@@ -46,7 +46,9 @@ class FleetConfig(Config):
     dt_s: float = Field(0.1, gt=0, le=1, description="epoch of the instruments [s]")
     epoch_s: float = Field(1.0, gt=0, le=10, description="time between codes that are shared [s]")
     mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation of codes [deg]")
-    least_dbhz: float = Field(36.0, ge=0, description="weakest codes in use [dB-Hz]; reflections_m declares those above")
+    least_dbhz: float = Field(
+        36.0, ge=0, description="weakest codes in use [dB-Hz]; reflections_m declares those above"
+    )
     share_codes: bool = Field(True, description="nodes share their codes; else ranges and positions alone")
 
 
@@ -119,7 +121,9 @@ class Fleet:
         local, v = self._local_level(), self.vehicles
         used = self._gate(los, codes)
         factors = self._factors(los, codes, used, pairs) if self.config.share_codes else Factors.none()
-        found = {"local": Placed(self._alone.positions(self._local)[:, 0], self._alone.covariances(self._local)[:, 0, :, 0])}
+        found = {
+            "local": Placed(self._alone.positions(self._local)[:, 0], self._alone.covariances(self._local)[:, 0, :, 0])
+        }
         for name, network in self._networks.items():
             if name not in self._beliefs:
                 self._beliefs[name] = network.start(local)
@@ -184,4 +188,3 @@ class Fleet:
         every = np.arange(self.vehicles)
         covariance = joint.covariances(state)[0][every, :, every, :]
         return Placed(joint.positions(state)[0, : self.vehicles], covariance, level)
-

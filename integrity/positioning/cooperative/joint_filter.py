@@ -366,7 +366,7 @@ class JointFilter:
         return -speed[..., None] * toward, design
 
     def _inside(self, state: JointState, design: Array, innovation: Array, variance: Array, used: Bools) -> Bools:
-        """Whether innovations (F, K, S) less the median of their node and system are inside the gate.
+        """Whether innovations (F, K, S) less the (lower) median of their node and system are inside the gate.
 
         The clock is unknown, and a median is moved by reflected signals least.
         """
@@ -374,11 +374,9 @@ class JointFilter:
         centred = innovation.copy()
         for number in np.unique(self.system):
             among = used & (self.system == number)
-            found = np.where(among, innovation, np.nan)
-            some = among.any(-1)
-            middle = np.zeros(some.shape)
-            middle[some] = np.nanmedian(found[some], axis=-1)
-            centred -= np.where(self.system == number, middle[..., None], 0.0)
+            ordered, count = np.sort(np.where(among, innovation, np.inf), -1), among.sum(-1, keepdims=True)
+            middle = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, -1)
+            centred -= np.where(among, np.where(count > 0, middle, 0.0), 0.0)
         return np.asarray(np.abs(centred) <= self.config.gate_sigmas * np.sqrt(spread))
 
     def _take(self, state: JointState, design: Array, innovation: Array, weight: Array) -> None:

@@ -22,7 +22,6 @@ __all__ = ["sum_product", "told"]
 Array = NDArray[np.float64]
 
 
-
 def told(information: Array, vector: Array, matrix: Array, right: Array) -> tuple[Array, Array]:
     """What senders with ``information`` (E, 3, 3), ``vector`` (E, 3) say of receivers over factors (matrix, right).
 

@@ -146,4 +146,6 @@ class Network:
         return sum_product(prior.mean, prior.covariance, linear, self.config.rounds)
 
     def _split(self, prior: NetworkBelief, factors: Factors, ranges: Ranges) -> tuple[Array, Array]:
-        return split_messages(prior.mean, prior.covariance, factors.joined(ranges.factors(prior.mean, prior.covariance)))
+        return split_messages(
+            prior.mean, prior.covariance, factors.joined(ranges.factors(prior.mean, prior.covariance))
+        )

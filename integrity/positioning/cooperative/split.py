@@ -75,9 +75,7 @@ def split_messages(mean_m: Array, covariance_m2: Array, factors: Factors) -> tup
     for to, of, matrix, right, lasting in _turns(factors):
         others = np.linalg.inv(covariance_m2[of] + lasting)  # what lasts is as old as what the sender knew
         others_vector = np.einsum("eij,ej->ei", others, mean_m[of])
-        mean[to], before[to], news[to] = _hear(
-            mean[to], before[to], news[to], others, others_vector, matrix, right
-        )
+        mean[to], before[to], news[to] = _hear(mean[to], before[to], news[to], others, others_vector, matrix, right)
     return mean, before + news
 
 
