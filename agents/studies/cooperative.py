@@ -52,8 +52,9 @@ PUBLISHED = {
 }
 """S2 Table 5: mean RMSE 2D and 3D, largest error 2D and 3D [m]."""
 REFLECTIONS_M = {"open": (0.0, 0.0), "suburban": (0.2, 0.4), "urban": (0.7, 1.6), "dense": (1.4, 2.7)}
-"""Declared multipath: RMS of codes from 36 dB-Hz on and of all codes in simulated streets of seed 101
-(``CodeErrorBudget``); estimators weigh the first, which they use, by the first, levels and tests count on the second."""
+"""Declared multipath: RMS of codes from 36 dB-Hz on, and of all codes, in simulated streets of seed 101
+(``CodeErrorBudget``). Estimators use codes of the first kind and weigh them so; levels and tests count on the second.
+"""
 
 
 class UwbLinksConfig(Config):

@@ -156,11 +156,11 @@ class Fleet:
     def _gate(self, los: Array, codes: Codes) -> Bools:
         """Update what vehicles and units know by their own codes; returns the codes that each uses (N, S)."""
         v = self.vehicles
-        own = self._alone.update(self._local, los, Codes(*(values[:v, None] for values in codes)))[:, 0]
+        own = self._alone.update(self._local, los, codes.each(lambda x: x[:v, None]))[:, 0]
         if not len(self.places_m):
             return own
         units = np.eye(len(self.places_m), dtype=np.bool_)
-        theirs = self._units.update(self._known, los, Codes(*(values[v:] for values in codes)), units)
+        theirs = self._units.update(self._known, los, codes.each(lambda x: x[v:]), units)
         return np.concatenate([own, theirs[units]])
 
     def _factors(self, los: Array, codes: Codes, used: Bools, pairs: Ints) -> Factors:

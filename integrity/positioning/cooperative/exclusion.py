@@ -1,17 +1,18 @@
 """Which node contradicts the others, and levels that hold until it is found: solution separation over a fleet.
 
 Next to the filter of all nodes runs one for each hypothesis k: without a node (a vehicle lies or its receiver is wrong,
-a unit has a wrong place), or without the ranges to a vehicle (its module is wrong, or ranged around a body). For a vehicle and an axis, with P and P_k the variances of both filters (S3 section
-IV-B, solution separation; R. Brown and P. McBurney 1988)::
+a unit has a wrong place), or without the ranges to a vehicle (its module is wrong, or ranged around a body). For a
+vehicle and an axis, with P and P_k the variances of both filters (S3 section IV-B, solution separation; R. Brown and P.
+McBurney 1988)::
 
     T_k = K_fa sqrt(P_k - P),   level = max(K_0 sqrt(P), max_k T_k + K_k sqrt(P_k))
     |x - x_k| > T_k on some axis of some vehicle: there is a fault
 
 Of the hypotheses whose separation exceeds its threshold, that one is taken as true under which the remaining
 measurements fit best: separations say that there is a fault, not whose. What it leaves out stays out, and the other
-filters go on from the one without it. A node is left out, too, whose codes alone say for some epochs that it is elsewhere
-(:meth:`~.joint_filter.JointFilter.shifts`): the gate that takes the codes of a jump away also hides it from separations.
-One fault at a time is assumed, with the stated prior.
+filters go on from the one without it. A node is left out, too, whose codes alone say for some epochs that it is
+elsewhere (:meth:`~.joint_filter.JointFilter.shifts`): the gate that takes the codes of a jump away also hides it from
+separations. One fault at a time is assumed, with the stated prior.
 """
 
 from __future__ import annotations
@@ -43,8 +44,10 @@ class ExclusionConfig(Config):
 
 
 class Exclusion(NamedTuple):
-    """What was left out: all of a node or the ranges to it; when; and why: by a ``separation``, or by a ``shift`` of all
-    of its codes."""
+    """What was left out, all of a node or the ranges to it; when; and why.
+
+    A ``separation`` of solutions, or a ``shift`` of all codes of the node.
+    """
 
     node: int
     what: Literal["node", "ranges"]
@@ -90,11 +93,12 @@ class NodeBank:
         """What each row uses."""
         hypotheses = _hypotheses(self.joint)
         uses = Uses(*np.ones((2, 1 + len(hypotheses), self.joint.nodes), np.bool_))
-        left_out = [(found.node, found.what) for found in self.excluded]
-        for row, what in ((slice(None), left_out), *((1 + k, [found]) for k, found in enumerate(hypotheses))):
-            for node, kind in what:
-                uses.codes[row, node] &= kind == "ranges"
-                uses.ranges[row, node] = False
+        for k, (node, kind) in enumerate(hypotheses, 1):
+            uses.codes[k, node] &= kind == "ranges"
+            uses.ranges[k, node] = False
+        for found in self.excluded:
+            uses.codes[:, found.node] &= found.what == "ranges"
+            uses.ranges[:, found.node] = False
         return uses
 
     def judge_codes(self, time_s: float, los_enu: Array, codes: Codes) -> None:
@@ -112,9 +116,8 @@ class NodeBank:
         hypotheses = _hypotheses(self.joint)
         known = {(found.node, found.what) for found in self.excluded}
         separation, threshold, _ = self._separations()
-        exceeds = (separation > threshold).any((1, 2)) & [
-            (node, kind) not in known and (node, "node") not in known for node, kind in hypotheses
-        ]
+        free = [(node, kind) not in known and (node, "node") not in known for node, kind in hypotheses]
+        exceeds = (separation > threshold).any((1, 2)) & np.array(free)
         if time_s > SETTLED_S and exceeds.any():
             node, kind = hypotheses[int(np.argmin(np.where(exceeds, self.state.misfit[1:], np.inf)))]
             self._leave_out(Exclusion(node, kind, time_s, "separation"))

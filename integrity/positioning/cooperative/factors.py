@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 
-__all__ = ["Factors", "joint_solution", "line_between", "normal_equations", "range_factors"]
+__all__ = ["Factors", "inverse", "joint_solution", "line_between", "normal_equations", "range_factors"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -63,7 +63,7 @@ class Factors:
     @property
     def whole(self) -> Self:
         """The same with all of the error in the information: ``(L^-1 + lasting)^-1``, of any rank."""
-        shrunk = np.linalg.inv(np.eye(3) + self.information @ self.lasting)
+        shrunk = inverse(np.eye(3) + self.information @ self.lasting)
         information = shrunk @ self.information
         return type(self)(self.ends, 0.5 * (information + np.swapaxes(information, -1, -2)),
                           np.einsum("eij,ej->ei", shrunk, self.vector), np.zeros_like(self.lasting))  # fmt: skip
@@ -128,6 +128,11 @@ def line_between(first_m: Array, second_m: Array, covariance_m2: Array) -> Line:
     return Line(distance, unit, bend, 0.5 * np.trace(curved @ curved, axis1=-2, axis2=-1))
 
 
+def inverse(matrix: Array) -> Array:
+    """Inverse of matrices (..., D, D)."""
+    return np.asarray(np.linalg.inv(matrix), np.float64)
+
+
 def normal_equations(factors: Factors, nodes: int) -> tuple[Array, Array]:
     """Normal matrix (3N, 3N) and right side (3N,) of the factors alone, with all of their errors."""
     factors = factors.whole
@@ -136,7 +141,7 @@ def normal_equations(factors: Factors, nodes: int) -> tuple[Array, Array]:
         np.add.at(right, factors.ends[:, a], sign_a * factors.vector)
         for b, sign_b in ((0, 1.0), (1, -1.0)):
             into = (factors.ends[:, a], slice(None), factors.ends[:, b], slice(None))
-            np.add.at(normal, into, sign_a * sign_b * factors.information)
+            np.add.at(normal, into, sign_a * sign_b * factors.information)  # type: ignore[arg-type]
     return normal.reshape(3 * nodes, 3 * nodes), right.reshape(-1)
 
 
@@ -146,6 +151,6 @@ def joint_solution(mean_m: Array, covariance_m2: Array, factors: Factors) -> tup
     mean_m (N, 3), covariance_m2 (3N, 3N); of a surveyed node that of its survey.
     """
     normal, right = normal_equations(factors, len(mean_m))
-    prior = np.linalg.inv(covariance_m2)
-    covariance = np.linalg.inv(prior + normal)
-    return (covariance @ (prior @ mean_m.reshape(-1) + right)).reshape(-1, 3), covariance
+    prior = inverse(covariance_m2)
+    covariance = inverse(prior + normal)
+    return np.asarray(covariance @ (prior @ mean_m.reshape(-1) + right)).reshape(-1, 3), np.asarray(covariance)

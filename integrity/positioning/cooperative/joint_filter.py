@@ -20,8 +20,9 @@ filter (:func:`~lanebound.integrity.positioning.correlation.bound_correlation`).
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,9 @@ from pydantic import Field
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget, CodeErrorParts
-from lanebound.integrity.positioning.correlation import bound_correlation
 from lanebound.integrity.positioning.cooperative.factors import line_between
 from lanebound.integrity.positioning.cooperative.shared_codes import clock_free
+from lanebound.integrity.positioning.correlation import bound_correlation
 
 __all__ = ["Codes", "JointFilter", "JointFilterConfig", "JointState"]
 
@@ -63,8 +64,9 @@ class JointFilterConfig(Config):
                         "m/s^2")  # fmt: skip
     sideways_mps: float = Field(0.02, ge=0, description="motion across the heading [m/s/sqrt(Hz)]; chosen")
     climb_mps: float = Field(0.1, ge=0, description="unknown climb [m/s/sqrt(Hz)]; chosen, a slope of 1 % at 10 m/s")
-    gate_sigmas: float = Field(3.29, gt=0, description="innovations of codes and range rates beyond are left out; 1e-3 of "
-                               "those without faults")  # fmt: skip
+    gate_sigmas: float = Field(
+        3.29, gt=0, description="codes and range rates beyond are left out; 1e-3 of those without faults"
+    )
 
 
 class Codes(NamedTuple):
@@ -74,6 +76,10 @@ class Codes(NamedTuple):
     rate_mps: Array
     cn0_dbhz: Array
     used: Bools
+
+    def each(self, change: Callable[[Any], Any]) -> Codes:
+        """The same with every array changed in one way."""
+        return Codes(*(change(values) for values in self))
 
 
 @dataclass
@@ -202,7 +208,7 @@ class JointFilter:
         """
         self._age(state)
         c, fleets, v, coded = self.config, len(state.mean), self.vehicles, self.vehicles + len(self._units_at)
-        codes = Codes(*(np.broadcast_to(x, (fleets, *x.shape[-2:]))[:, :coded] for x in codes))
+        codes = codes.each(lambda x: np.broadcast_to(x, (fleets, *x.shape[-2:]))[:, :coded])
         moving = np.zeros((fleets, coded, 1), np.bool_)
         moving[:, :v, 0] = state.speed_mps > MOVING_MPS
         parts, bound, lasting = self.errors(los_enu, codes.cn0_dbhz, moving)
@@ -284,7 +290,7 @@ class JointFilter:
         state.misfit += self.config.gate_sigmas**2 * (among & ~used).sum(-1)
         weight = np.where(used, 1.0 / noise, 0.0)
         self._take(state, rows[:, None], innovation[:, None], (weight[..., None] * np.eye(len(ends)))[:, None])
-        return used
+        return np.asarray(used)
 
     def positions(self, state: JointState) -> Array:
         """Of all nodes (F, N, 3) [m]."""
@@ -300,7 +306,7 @@ class JointFilter:
     def way_covariance(self, state: JointState, way_m: Array, time_s: float) -> Array:
         """Covariance (F, V, 3, 3) of the error of ways (F, V, 3) by dead reckoning over ``time_s`` [m^2].
 
-        Along the way the scale error and the noise of the odometer, as if it lasted; across it the error of the heading.
+        Along the way scale error and noise of the odometer, as if it lasted; across it the error of the heading.
         """
         c, at = self.config, OWN * np.arange(self.vehicles)
         length = np.hypot(way_m[..., 0], way_m[..., 1])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.positioning.cooperative.factors import Factors
+from lanebound.integrity.positioning.cooperative.factors import Factors, inverse
 
 __all__ = ["sum_product", "told"]
 
@@ -48,7 +48,7 @@ def sum_product(mean_m: Array, covariance_m2: Array, factors: Factors, rounds: i
     """
     if rounds < 0:
         raise InputError(f"rounds must be >= 0, got {rounds}: give the number of rounds of messages")
-    prior = np.linalg.inv(covariance_m2)
+    prior = inverse(covariance_m2)
     prior_vector = np.einsum("nij,nj->ni", prior, mean_m)
     to, of, matrix, right, _ = factors.whole.directed()
     back = np.roll(np.arange(len(to)), len(to) // 2)
@@ -61,5 +61,5 @@ def sum_product(mean_m: Array, covariance_m2: Array, factors: Factors, rounds: i
         matrices, vectors = prior.copy(), prior_vector.copy()
         np.add.at(matrices, to, told_matrix)
         np.add.at(vectors, to, told_vector)
-    covariance = np.linalg.inv(matrices)
+    covariance = inverse(matrices)
     return np.einsum("nij,nj->ni", covariance, vectors), covariance

@@ -33,8 +33,8 @@ class NetworkConfig(Config):
 
     estimator: Literal["spawn", "md_spawn", "mdpc", "gaussian", "split"] = Field(
         "split",
-        description="SPAWN and MD-SPAWN with particles, centralised MDPC, SPAWN with Gaussian messages, or messages that "
-        "keep rumours apart",
+        description="SPAWN and MD-SPAWN with particles, centralised MDPC, SPAWN with Gaussian messages, or messages "
+        "that keep rumours apart",
     )
     particles: int = Field(500, ge=10, le=1_000_000, description="of a node; of MDPC, of the fleet")
     rounds: int = Field(3, ge=1, le=100, description="rounds of Gaussian messages in an epoch")

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.positioning.cooperative.factors import Factors, normal_equations, range_factors
+from lanebound.integrity.positioning.cooperative.factors import Factors, inverse, normal_equations, range_factors
 from lanebound.integrity.positioning.cooperative.messages import sum_product, told
 
 __all__ = ["Ranges", "mdpc", "particle_messages"]
@@ -61,7 +61,7 @@ class Ranges:
             return np.asarray(direct)
         wide = np.hypot(sigma, self.delay_m)
         late = -0.5 * np.square((miss - self.delay_m) / wide) - np.log(wide)
-        return np.logaddexp(np.log1p(-self.delayed) + direct, np.log(self.delayed) + late)
+        return np.asarray(np.logaddexp(np.log1p(-self.delayed) + direct, np.log(self.delayed) + late))
 
     def factors(self, about_m: Array, about_m2: Array | None = None) -> Factors:
         """The ranges as direct ones, linearised about positions (N, 3) of covariances (N, 3, 3)."""
@@ -83,7 +83,8 @@ def particle_messages(
     line widens it. A sender leaves out what the receiver told it. mean_m, covariance_m2 : (N, 3), (N, 3, 3) priors;
     ``particles`` of each node are weighed in each of ``ROUNDS`` rounds.
     """
-    prior, root = np.linalg.inv(covariance_m2), np.linalg.cholesky(covariance_m2)
+    prior = inverse(covariance_m2)
+    root = np.asarray(np.linalg.cholesky(covariance_m2), np.float64)
     mean, covariance, linear = mean_m, covariance_m2, len(factors.ends)
     heard: tuple[Array, Array] | None = None
     for _ in range(ROUNDS):
@@ -91,7 +92,8 @@ def particle_messages(
         to, of, matrix, right, _ = every.whole.directed()
         count = len(every.ends)
         back, ranged = np.roll(np.arange(2 * count), count), np.tile(np.arange(count) >= linear, 2)
-        known, vector = np.linalg.inv(covariance), np.linalg.solve(covariance, mean[..., None])[..., 0]
+        known = inverse(covariance)
+        vector = np.einsum("nij,nj->ni", known, mean)
         senders, senders_vector = known[of], vector[of]
         if heard is not None:
             senders, senders_vector = _without(senders, senders_vector, heard[0][back], heard[1][back], prior[of])
@@ -102,7 +104,7 @@ def particle_messages(
         centre, chol = mean_m, root
         if directed:
             centre, spread = sum_product(mean_m, covariance_m2, every, ROUNDS)
-            chol = np.linalg.cholesky(WIDER**2 * spread)
+            chol = np.asarray(np.linalg.cholesky(WIDER**2 * spread), np.float64)
         drawn = rng.standard_normal((particles, *mean_m.shape))
         x = centre + np.einsum("nij,pnj->pni", chol, drawn)
         weight = np.einsum("pni,ni->pn", x, message_vector) - 0.5 * np.einsum("pni,nij,pnj->pn", x, message, x)
@@ -110,9 +112,9 @@ def particle_messages(
             off = x - mean_m
             weight += 0.5 * np.square(drawn).sum(-1) - 0.5 * np.einsum("pni,nij,pnj->pn", off, prior, off)
         if ranged.any():
-            at = np.linalg.inv(senders[ranged])
+            at = inverse(senders[ranged])
             told_m = np.einsum("eij,ej->ei", at, senders_vector[ranged])
-            np.add.at(weight, (slice(None), to[ranged]), _range_weights(x[:, to[ranged]], told_m, at, ranges))
+            np.add.at(weight.T, to[ranged], _range_weights(x[:, to[ranged]], told_m, at, ranges).T)
         mean, covariance = _moments(x, weight)
     return mean, covariance
 
@@ -163,13 +165,13 @@ def mdpc(
     A stage that would leave fewer than ``ENOUGH`` particles effective takes half of the step of its exponent.
     """
     nodes, at = len(mean_m), mean_m.reshape(-1)
-    prior, fixed = np.linalg.inv(covariance_m2), normal_equations(factors, nodes)
+    prior, fixed = inverse(covariance_m2), normal_equations(factors, nodes)
     mean, covariance, exponent, step = at, covariance_m2, 0.0, 1.0
     while exponent < 1.0:
         step = min(step, 1.0 - exponent)
         share = exponent + step
         ranged = normal_equations(ranges.factors(mean.reshape(nodes, 3)), nodes)
-        spread = np.linalg.inv(prior + share * (fixed[0] + ranged[0]))
+        spread = inverse(prior + share * (fixed[0] + ranged[0]))
         centre = spread @ (prior @ at + share * (fixed[1] + ranged[1]))
         drawn = rng.standard_normal((particles, 3 * nodes))
         x = centre + WIDER * drawn @ np.linalg.cholesky(spread).T

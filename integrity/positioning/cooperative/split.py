@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.positioning.cooperative.factors import Factors
+from lanebound.integrity.positioning.cooperative.factors import Factors, inverse
 from lanebound.integrity.positioning.cooperative.messages import told
 
 __all__ = ["correlated_sum", "intersection", "split_messages"]
@@ -38,8 +38,8 @@ def intersection(mean_m: Array, covariance_m2: Array, other_m: Array, other_m2: 
     best of eleven.
     """
     weight = np.linspace(0.0, 1.0, 11)[:, None, None, None]
-    own, others = np.linalg.inv(covariance_m2), np.linalg.inv(other_m2)
-    tried = np.linalg.inv((1.0 - weight) * own + weight * others)
+    own, others = inverse(covariance_m2), inverse(other_m2)
+    tried = inverse((1.0 - weight) * own + weight * others)
     best = np.argmin(np.linalg.slogdet(tried)[1], axis=0)
     every = np.arange(len(mean_m))
     covariance, w = tried[best, every], weight[best, 0, 0]
@@ -73,7 +73,7 @@ def split_messages(mean_m: Array, covariance_m2: Array, factors: Factors) -> tup
     """
     mean, before, news = mean_m.copy(), covariance_m2.copy(), np.zeros_like(covariance_m2)
     for to, of, matrix, right, lasting in _turns(factors):
-        others = np.linalg.inv(covariance_m2[of] + lasting)  # what lasts is as old as what the sender knew
+        others = inverse(covariance_m2[of] + lasting)  # what lasts is as old as what the sender knew
         others_vector = np.einsum("eij,ej->ei", others, mean_m[of])
         mean[to], before[to], news[to] = _hear(mean[to], before[to], news[to], others, others_vector, matrix, right)
     return mean, before + news
@@ -100,8 +100,8 @@ def _hear(
     edges, found = np.arange(len(mean)), []
     for w in OTHERS_WEIGHT:
         message, vector = told(w * others, w * others_vector, matrix, right)
-        own = np.linalg.inv(before / (1.0 - w) + news)
-        covariance = np.linalg.inv(own + message)
+        own = inverse(before / (1.0 - w) + news)
+        covariance = inverse(own + message)
         passed = np.eye(3) - np.swapaxes(np.linalg.solve(matrix + w * others, matrix), -1, -2)  # I - L (L + J)^-1
         noise = passed @ matrix @ np.swapaxes(passed, -1, -2)
         kept = covariance @ own
