@@ -184,7 +184,7 @@ class Fleet:
             joint.update(state, los, codes, uses.codes)
             joint.update_ranges(state, ranges.ends, ranges.range_m, ranges.sigma_m, uses.ranges)
             bank.judge(time_s)
-            level = bank.levels()
+            level = bank.levels(time_s)
         every = np.arange(self.vehicles)
         covariance = joint.covariances(state)[0][every, :, every, :]
         return Placed(joint.positions(state)[0, : self.vehicles], covariance, level)

@@ -130,11 +130,13 @@ class NodeBank:
         for values in (self.state.mean, self.state.covariance, self.state.misfit):
             values[:] = values[row].copy()
 
-    def levels(self) -> Array:
-        """Levels (V, 2) of the vehicles, East and North [m].
+    def levels(self, time_s: float) -> Array:
+        """Levels (V, 2) of the vehicles, East and North [m]; inf before anything is judged.
 
         That a vehicle itself is wrong is no hypothesis of its own level: what it measures, its own receiver watches.
         """
+        if time_s <= SETTLED_S:  # a level counts on a test that would have found the fault
+            return np.full((self.joint.vehicles, 2), np.inf)
         c, hypotheses = self.config, _hypotheses(self.joint)
         _, threshold, sigma = self._separations()
         free = NormalDist().inv_cdf(1.0 - c.integrity_risk / 8.0) * self._sigma()[0]
