@@ -92,7 +92,8 @@ def test_directed_particles_waste_fewer_where_the_prior_is_wide():
     rng = np.random.default_rng(11)
     mean, covariance = np.array([[0.0, 0.0, 0.0], [30.0, 5.0, 0.0]]), np.array([25.0 * np.eye(3), 1e-4 * np.eye(3)])
     information = 100.0 * np.eye(3)[None]
-    factors = Factors(np.array([(0, 1)]), information, information[0] @ [-29.0, -4.0, 1.0] + np.zeros((1, 3)), 0.0 * information)
+    vector = (information[0] @ [-29.0, -4.0, 1.0])[None]
+    factors = Factors(np.array([(0, 1)]), information, vector, 0.0 * information)
     exact, _ = joint_solution(mean, whole(covariance), factors)
     errors = {
         directed: [
@@ -149,7 +150,8 @@ def test_intersection_holds_for_every_correlation():
 
 def test_a_distance_bends_as_its_factor_says():
     rng = np.random.default_rng(2)
-    places, spread = np.array([[40.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.array([np.diag([1e-6, 9.0, 4.0]), 1e-9 * np.eye(3)])
+    places = np.array([[40.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    spread = np.array([np.diag([1e-6, 9.0, 4.0]), 1e-9 * np.eye(3)])
     drawn = places[0] + rng.normal(size=(200_000, 3)) * np.sqrt(np.diag(spread[0]))
     distance = np.linalg.norm(drawn, axis=-1)
     factors = range_factors([(0, 1)], [40.0], [1e-3], places, spread)
