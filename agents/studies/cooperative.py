@@ -129,7 +129,7 @@ class CooperativeStudyConfig(Config):
         )  # fmt: skip
 
 
-class Moment(NamedTuple):
+class FleetMoment(NamedTuple):
     """An epoch of the network: truth of the nodes, their measurements, pairs that hear each other, and ranges."""
 
     truth: Truth
@@ -138,7 +138,7 @@ class Moment(NamedTuple):
     ranges: Ranges
 
 
-def moments(config: CooperativeStudyConfig, sky: str, number: int, uwb: bool) -> Iterator[Moment]:
+def moments(config: CooperativeStudyConfig, sky: str, number: int, uwb: bool) -> Iterator[FleetMoment]:
     """The epochs of the instruments of drive ``number``; pairs and ranges as they are then."""
     drives, rng = config.drives(), named_generator([config.first_seed, number], "uwb")
     city, road = city_of(drives, sky, number), road_of(drives, number)
@@ -156,7 +156,7 @@ def moments(config: CooperativeStudyConfig, sky: str, number: int, uwb: bool) ->
         both = Truth.of(truth.time_s, truth.dt_s, np.concatenate([moving, units.records]))
         measured, place = navigator.measure(both), both.position_enu_m
         near = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=-1) < config.link_m
-        yield Moment(both, measured, pairs[near], links.measure(place) if uwb else links.none)
+        yield FleetMoment(both, measured, pairs[near], links.measure(place) if uwb else links.none)
 
 
 class _Links:

@@ -107,7 +107,7 @@ def range_factors(
     return Factors(pairs, information, vector, np.zeros_like(information))
 
 
-class Line(NamedTuple):
+class SightLine(NamedTuple):
     """Lines between nodes (...,): distance, unit vector (..., 3) to the first, and what bends the mean and the variance
     of the distance."""
 
@@ -117,7 +117,7 @@ class Line(NamedTuple):
     bend_m2: Array
 
 
-def line_between(first_m: Array, second_m: Array, covariance_m2: Array) -> Line:
+def line_between(first_m: Array, second_m: Array, covariance_m2: Array) -> SightLine:
     """The lines from second to first nodes (..., 3), of whose difference ``covariance_m2`` (..., 3, 3) is known."""
     apart = first_m - second_m
     distance = np.linalg.norm(apart, axis=-1)
@@ -125,7 +125,7 @@ def line_between(first_m: Array, second_m: Array, covariance_m2: Array) -> Line:
     across = np.eye(3) - unit[..., :, None] * unit[..., None, :]
     curved = across @ covariance_m2 / np.maximum(distance, SAME_PLACE_M)[..., None, None]
     bend = 0.5 * np.trace(curved, axis1=-2, axis2=-1)
-    return Line(distance, unit, bend, 0.5 * np.trace(curved @ curved, axis1=-2, axis2=-1))
+    return SightLine(distance, unit, bend, 0.5 * np.trace(curved @ curved, axis1=-2, axis2=-1))
 
 
 def inverse(matrix: Array) -> Array:
