@@ -179,11 +179,11 @@ class Fleet:
             joint.update_ranges(state, ranges.ends, ranges.range_m, ranges.sigma_m)
             level = None
         else:
-            bank.judge_codes(time_s, los, codes)
+            bank.judge_codes(time_s, los, codes, self._local)
             uses = bank.uses
             joint.update(state, los, codes, uses.codes)
             joint.update_ranges(state, ranges.ends, ranges.range_m, ranges.sigma_m, uses.ranges)
-            bank.judge(time_s)
+            bank.judge(time_s, self._local)
             level = bank.levels(time_s)
         every = np.arange(self.vehicles)
         covariance = joint.covariances(state)[0][every, :, every, :]

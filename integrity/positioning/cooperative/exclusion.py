@@ -9,8 +9,9 @@ McBurney 1988)::
     |x - x_k| > T_k on some axis of some vehicle: there is a fault
 
 Of the hypotheses whose separation exceeds its threshold, that one is taken as true under which the remaining
-measurements fit best: separations say that there is a fault, not whose. What it leaves out stays out, and the other
-filters go on from the one without it. A node is left out, too, whose codes alone say for some epochs that it is
+measurements fit best: separations say that there is a fault, not whose. What it leaves out stays out. That may be the
+wrong node, so the filters of the other hypotheses begin anew from what each vehicle knows alone, which no other node
+has told it. A node is left out, too, whose codes alone say for some epochs that it is
 elsewhere (:meth:`~.joint_filter.JointFilter.shifts`): the gate that takes the codes of a jump away also hides it from
 separations. One fault at a time is assumed, with the stated prior.
 """
@@ -101,18 +102,21 @@ class NodeBank:
             uses.ranges[:, found.node] = False
         return uses
 
-    def judge_codes(self, time_s: float, los_enu: Array, codes: Codes) -> None:
-        """Before an epoch's updates: leave out a node whose codes say that it is elsewhere."""
+    def judge_codes(self, time_s: float, los_enu: Array, codes: Codes, alone: JointState) -> None:
+        """Before an epoch's updates: leave out a node whose codes say that it is elsewhere.
+
+        alone : states of the filters of each vehicle alone, V fleets of one
+        """
         gain, left = self.joint.shifts(self.state, los_enu, codes)
         inside = self.uses.codes[0]
         told = inside & (gain > chi2.isf(self.config.false_alarm / self.joint.nodes, 3)) & (left < FITS)
         self.shifted_s = np.where(told, self.shifted_s + self.joint.epoch_s, 0.0)
         if time_s > SETTLED_S and (self.shifted_s >= SHIFTED_S).any():
             node = int(np.argmax(np.where(self.shifted_s >= SHIFTED_S, gain, 0.0)))
-            self._leave_out(Exclusion(node, "node", time_s, "shift"))
+            self._leave_out(Exclusion(node, "node", time_s, "shift"), alone)
 
-    def judge(self, time_s: float) -> None:
-        """After an epoch's updates: leave out what contradicts the rest."""
+    def judge(self, time_s: float, alone: JointState) -> None:
+        """After an epoch's updates: leave out what contradicts the rest; ``alone`` as before."""
         hypotheses = _hypotheses(self.joint)
         known = {(found.node, found.what) for found in self.excluded}
         separation, threshold, _ = self._separations()
@@ -120,15 +124,24 @@ class NodeBank:
         exceeds = (separation > threshold).any((1, 2)) & np.array(free)
         if time_s > SETTLED_S and exceeds.any():
             node, kind = hypotheses[int(np.argmin(np.where(exceeds, self.state.misfit[1:], np.inf)))]
-            self._leave_out(Exclusion(node, kind, time_s, "separation"))
+            self._leave_out(Exclusion(node, kind, time_s, "separation"), alone)
 
-    def _leave_out(self, found: Exclusion) -> None:
+    def _leave_out(self, found: Exclusion, alone: JointState) -> None:
         self.excluded.append(found)
         self.shifted_s[found.node] = 0.0
-        # What the other hypotheses hold stems in part from what is wrong: they begin anew from the filter without it.
-        row = 1 + _hypotheses(self.joint).index((found.node, found.what))
-        for values in (self.state.mean, self.state.covariance, self.state.misfit):
-            values[:] = values[row].copy()
+        state, row = self.state, 1 + _hypotheses(self.joint).index((found.node, found.what))
+        for values in (state.mean, state.covariance, state.misfit):
+            values[0] = values[row]
+        own = OWN * self.joint.vehicles
+        state.mean[1:], state.covariance[1:], state.misfit[1:] = 0.0, 0.0, state.misfit[row]
+        state.mean[1:, :own] = alone.mean[:, :OWN].reshape(-1)
+        # The vehicles and the errors of the area are correlated: n times n diagonal blocks bound any joint covariance.
+        blocks = self.joint.vehicles + 1
+        for v in range(self.joint.vehicles):
+            mine = slice(OWN * v, OWN * (v + 1))
+            state.covariance[1:, mine, mine] = blocks * alone.covariance[v, :OWN, :OWN]
+        area = np.arange(own, state.mean.shape[-1])
+        state.covariance[1:, area, area] = blocks
 
     def levels(self, time_s: float) -> Array:
         """Levels (V, 2) of the vehicles, East and North [m]; inf before anything is judged.
@@ -156,6 +169,8 @@ class NodeBank:
         tests = 4.0 * sigma[1:].shape[0] * self.joint.vehicles  # two sides, two axes
         factor = NormalDist().inv_cdf(1.0 - self.config.false_alarm / tests)
         apart = np.sqrt(np.maximum(np.square(sigma[1:]) - np.square(sigma[0]), TINY_M2))
+        if self.excluded:  # filters that began anew have another history, so that any correlation is possible
+            apart = sigma[1:] + sigma[0]
         return np.abs(place[1:] - place[0]), factor * apart, sigma[1:]
 
     def _sigma(self) -> Array:
