@@ -92,7 +92,8 @@ def plain_form(module: str) -> Any:
 BENCH_PACKAGE = "lanebound.agents.bench"
 BENCHES = {
     "ambiguity": "positioning", "busy": "environments", "cold": "environments", "context": "navigation",
-    "engine": "environments", "environments": "environments", "independent": "positioning", "learning": "environments",
+    "engine": "environments", "environments": "environments", "fleets": "fleets", "independent": "positioning",
+    "learning": "environments",
     "monitors": "positioning", "navigator": "navigation", "presets": "environments", "protection": "positioning",
     "sensors": "navigation", "shares": "environments", "sky": "navigation", "startup": "environments",
 }  # fmt: skip

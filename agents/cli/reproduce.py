@@ -109,6 +109,25 @@ def services(
     show(result, shown(result), as_json, f"services.json: {out}")
 
 
+@app.command("cooperative")
+def cooperative(
+    out: Annotated[Path, typer.Option(help="Folder for cooperative.json; a run is resumed there.")],
+    seeds: Annotated[int | None, typer.Option(min=1, help="Drives under each sky; the study has 100.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Two vehicles and two roadside units that share codes and ranges, next to S2 Table 5; and one of them lies.
+
+    Example: lanebound reproduce cooperative --out out/cooperative --seeds 4 --set skies=[open,urban]
+    """
+    from lanebound.agents.studies.cooperative import CooperativeStudyConfig, run_cooperative, shown
+
+    config = CooperativeStudyConfig.load(changes(assignments, seeds=seeds))
+    result = carry_out(out, "part", lambda report: run_cooperative(config, out, jobs, report), "drives")
+    show(result, shown(result), as_json, f"cooperative.json: {out}")
+
+
 @app.command("context")
 def context(
     out: Annotated[Path, typer.Option(help="Folder for tables.json and the figures; a run is resumed there.")],
