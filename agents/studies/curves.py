@@ -65,6 +65,7 @@ PACE: dict[str, tuple[int, int, dict[str, int]]] = {
     "UrbanCanyon": (45_000, 2_000, SLOW),
     "WorkZone": (45_000, 2_000, SLOW),
     "Guidance": (45_000, 2_000, SLOW),
+    "Tolling": (45_000, 2_000, SLOW),
 }
 """Of each id, the fastest to judge first: decisions that a core learns from in a minute (measured), those of a round of
 imitation, and settings."""
