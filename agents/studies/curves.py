@@ -65,6 +65,7 @@ PACE: dict[str, tuple[int, int, dict[str, int]]] = {
     "UrbanCanyon": (45_000, 2_000, SLOW),
     "WorkZone": (45_000, 2_000, SLOW),
     "Guidance": (45_000, 2_000, SLOW),
+    "Tolling": (68_000, 2_000, SLOW),
 }
 """Of each id, the fastest to judge first: decisions that a core learns from in a minute (measured), those of a round of
 imitation, and settings."""
@@ -270,8 +271,9 @@ def curves_figure(found: Mapping[str, Any]) -> Figure:
             axis.fill_between(steps, low, high, color=OWN, alpha=0.15, linewidth=0)
             axis.plot(steps, means, color=OWN, marker="o", markersize=3, linewidth=1.4, label=LEARNT)
             for name, colour in COMPARED.items():
-                level = _estimate(part["final"][name], key).mean
-                axis.axhline(level, color=colour, linewidth=1.2, linestyle="--", label=name)
+                if name in part["final"]:  # ids without a shipped policy have no ppo
+                    level = _estimate(part["final"][name], key).mean
+                    axis.axhline(level, color=colour, linewidth=1.2, linestyle="--", label=name)
             if key == "cost":
                 axis.axhline(part["limit"], color=INK, linewidth=1.0, linestyle=":", label="limit")
                 axis.set_yscale("symlog", linthresh=max(part["limit"], 1.0))
@@ -280,6 +282,6 @@ def curves_figure(found: Mapping[str, Any]) -> Figure:
                  xlabel="thousand decisions" if part is parts[-1] else "")  # fmt: skip
             if key in ("over_cost_limit", "success"):
                 axis.set_ylim(-0.05, 1.05)
-    handles, labels = axes[0, 1].get_legend_handles_labels()
+    handles, labels = max((row[1].get_legend_handles_labels() for row in axes), key=lambda shown: len(shown[1]))
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     return figure

@@ -66,6 +66,8 @@ def test_an_interrupted_study_goes_on_and_judges_held_out_seeds_alone(
     for heads, rows in shown.values():
         assert {len(row) for row in rows} == {len(heads)}
     assert save_curves(found, tmp_path).stat().st_size > 10_000
+    del part["final"]["ppo"]  # as in an id without a shipped policy
+    assert save_curves(found, tmp_path).stat().st_size > 10_000
 
 
 def test_unknown_ids_are_refused() -> None:
