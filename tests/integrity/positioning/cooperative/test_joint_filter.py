@@ -176,7 +176,8 @@ def test_measurements_that_are_not_numbers_are_left_out():
     used = joint.update(state, los, codes)
     assert not used[0, 0, 3]
     joint.update_ranges(state, np.array([(0, 1), (0, 2)]), np.array([np.nan, 60.0]), np.array([0.1, 0.1]))
-    assert np.isfinite(state.mean).all() and np.isfinite(state.covariance).all()
+    assert np.isfinite(state.mean).all()
+    assert np.isfinite(state.covariance).all()
 
 
 def test_priors_must_leave_two_faults_rarer_than_the_risk():
