@@ -22,7 +22,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.positioning.cooperative.exclusion import ExclusionConfig, NodeBank
 from lanebound.integrity.positioning.cooperative.factors import Factors
-from lanebound.integrity.positioning.cooperative.joint_filter import Codes, JointFilter, JointFilterConfig
+from lanebound.integrity.positioning.cooperative.joint_filter import Codes, JointFilter, JointFilterConfig, JointState
 from lanebound.integrity.positioning.cooperative.network import Local, Network, NetworkBelief, NetworkConfig
 from lanebound.integrity.positioning.cooperative.particles import Ranges
 from lanebound.integrity.positioning.cooperative.shared_codes import double_differences
@@ -49,7 +49,9 @@ class FleetConfig(Config):
     least_dbhz: float = Field(
         36.0, ge=0, description="weakest codes in use [dB-Hz]; reflections_m declares those above"
     )
-    share_codes: bool = Field(True, description="nodes share their codes; else ranges and positions alone")
+    share_codes: bool = Field(
+        True, description="nodes share their codes; else ranges and positions, and the EKF has none of the units' codes"
+    )
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ class Fleet:
         """
         codes = self._codes(m)
         los = m.sky.los_enu[m.sky.index[0]]
-        local, v = self._local_level(), self.vehicles
+        local, v, before = self._local_level(), self.vehicles, self._local.copy()
         used = self._gate(los, codes)
         factors = self._factors(los, codes, used, pairs) if self.config.share_codes else Factors.none()
         found = {
@@ -131,7 +133,7 @@ class Fleet:
             position, covariance = network.positions(self._beliefs[name])
             found[name] = Placed(position[:v], covariance[:v])
         if "ekf" in self.config.estimators:
-            found["ekf"] = self._centralised(m.time_s, los, codes, ranges)
+            found["ekf"] = self._centralised(m.time_s, los, codes, ranges, before)
         self._before = found["local"].position_m
         return found
 
@@ -171,7 +173,7 @@ class Fleet:
             pairs[(pairs < self.vehicles).any(-1)], los, codes.code_m, white, used, self.system, lasting
         )
 
-    def _centralised(self, time_s: float, los: Array, codes: Codes, ranges: Ranges) -> Placed:
+    def _centralised(self, time_s: float, los: Array, codes: Codes, ranges: Ranges, alone: JointState) -> Placed:
         """The EKF of all, and its search for a faulty node."""
         joint, state, bank = self._joint, self._state, self.bank
         if bank is None:
@@ -179,7 +181,7 @@ class Fleet:
             joint.update_ranges(state, ranges.ends, ranges.range_m, ranges.sigma_m)
             level = None
         else:
-            bank.judge_codes(time_s, los, codes, self._local)
+            bank.judge_codes(time_s, los, codes, alone)
             uses = bank.uses
             joint.update(state, los, codes, uses.codes)
             joint.update_ranges(state, ranges.ends, ranges.range_m, ranges.sigma_m, uses.ranges)

@@ -13,7 +13,7 @@ measurements fit best: separations say that there is a fault, not whose. What it
 wrong node, so the filters of the other hypotheses begin anew from what each vehicle knows alone, which no other node
 has told it. A node is left out, too, whose codes alone say for some epochs that it is
 elsewhere (:meth:`~.joint_filter.JointFilter.shifts`): the gate that takes the codes of a jump away also hides it from
-separations. One fault at a time is assumed, with the stated prior.
+separations. One fault at a time is searched for; what the prior leaves for two is taken off the risk.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from pydantic import Field
 from scipy.stats import chi2
 
 from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning.cooperative.joint_filter import OWN, Codes, JointFilter, JointState
 
 __all__ = ["Exclusion", "ExclusionConfig", "NodeBank", "Uses"]
@@ -40,8 +41,14 @@ class ExclusionConfig(Config):
     """Risks of the levels and of the test."""
 
     integrity_risk: float = Field(1e-5, gt=0, lt=1, description="of the levels of a vehicle, both axes together [-]")
-    prior: float = Field(1e-3, gt=0, lt=1, description="that a node is faulty [-]; chosen, higher than any receiver's")
-    false_alarm: float = Field(1e-5, gt=0, lt=1, description="of an epoch of the fleet, without faults [-]")
+    prior: float = Field(1e-4, gt=0, lt=1, description="that a node is faulty [-]; chosen, higher than any receiver's")
+    false_alarm: float = Field(
+        1e-5, gt=0, lt=1, description="of an epoch of the fleet, without faults and with the declared errors [-]"
+    )
+
+    def two_faults(self, hypotheses: int) -> float:
+        """Probability of two faults among as many hypotheses."""
+        return 0.5 * (hypotheses * self.prior) ** 2
 
 
 class Exclusion(NamedTuple):
@@ -84,8 +91,19 @@ class NodeBank:
 
     @classmethod
     def start(cls, config: ExclusionConfig, joint: JointFilter, position_m: Array, heading_rad: Array) -> NodeBank:
-        """A bank from positions (V, 3) and headings (V,)."""
-        rows = 1 + len(_hypotheses(joint))
+        """A bank from positions (V, 3) and headings (V,).
+
+        Raises
+        ------
+        InputError
+            Two faults at once are likelier than the risk.
+        """
+        rows, two = 1 + len(_hypotheses(joint)), config.two_faults(len(_hypotheses(joint)))
+        if two >= config.integrity_risk:
+            raise InputError(
+                f"prior must be so small that two faults are rarer than integrity_risk {config.integrity_risk:g}, got "
+                f"{config.prior:g}, with {two:.1e} for {rows - 1} hypotheses: lower it"
+            )
         state = joint.start(np.repeat(position_m[None], rows, 0), np.repeat(heading_rad[None], rows, 0))
         return cls(config, joint, state, [], np.zeros(joint.nodes))
 
@@ -152,8 +170,9 @@ class NodeBank:
             return np.full((self.joint.vehicles, 2), np.inf)
         c, hypotheses = self.config, _hypotheses(self.joint)
         _, threshold, sigma = self._separations()
-        free = NormalDist().inv_cdf(1.0 - c.integrity_risk / 8.0) * self._sigma()[0]
-        tail = min(0.5, c.integrity_risk / (8.0 * len(hypotheses) * c.prior))
+        risk = (c.integrity_risk - c.two_faults(len(hypotheses))) / 8.0  # half with a fault, two axes, two sides
+        free = NormalDist().inv_cdf(1.0 - risk) * self._sigma()[0]
+        tail = min(0.5, risk / (len(hypotheses) * c.prior))
         faulty = threshold + NormalDist().inv_cdf(1.0 - tail) * sigma
         known = {(found.node, found.what) for found in self.excluded}
         for k, (node, kind) in enumerate(hypotheses):
@@ -187,4 +206,4 @@ def _hypotheses(joint: JointFilter) -> list[tuple[int, Literal["node", "ranges"]
 SHIFTED_S = 3.0  # how long codes say that their node is elsewhere before it is left out; chosen
 FITS = 2.0  # largest misfit, over its expectation, of codes that are taken to be shifted as a whole; chosen
 SETTLED_S = 10.0  # nothing is judged before: filters that begin alike have no separations; chosen
-TINY_M2 = 1e-6  # separations below a millimetre are rounding
+TINY_M2 = 1e-2  # filters gate and linearise differently, so that a decimetre separates nothing; chosen

@@ -13,6 +13,7 @@ with turn and speed u of gyro and odometer. Clocks and drifts are free in each e
 place is known, measure the errors of the satellites: with all codes in one filter the solution is that of all double
 differences with their correlations. A vehicle alone is a fleet of one: the INS/GNSS solution that S2 compares with.
 
+Errors of satellites and multipath at a unit are Gauss-Markov processes of the declared time: a model, not a bound.
 Multipath of a vehicle is correlated in time. It enters as white noise of the density that bounds it in every linear
 filter (:func:`~lanebound.integrity.positioning.correlation.bound_correlation`).
 """
@@ -60,7 +61,7 @@ class JointFilterConfig(Config):
     gyro_scale: float = Field(3e-3, ge=0, description="scale error of the gyro [-]")
     odometer_mps: float = Field(0.05, ge=0, description="noise of the odometer's speed [m/s]")
     odometer_scale: float = Field(0.003, ge=0, description="its scale error [-]")
-    slip: float = Field(0.003, ge=0, description="wheel slip, share of the way, white [1/sqrt(s)]; 0.001 s^2/m at 3 "
+    slip: float = Field(0.003, ge=0, description="wheel slip, share of the way, white [sqrt(s)]; 0.001 s^2/m at 3 "
                         "m/s^2")  # fmt: skip
     sideways_mps: float = Field(0.02, ge=0, description="motion across the heading [m/s/sqrt(Hz)]; chosen")
     climb_mps: float = Field(0.1, ge=0, description="unknown climb [m/s/sqrt(Hz)]; chosen, a slope of 1 % at 10 m/s")
@@ -86,8 +87,9 @@ class Codes(NamedTuple):
 class JointState:
     """State of F fleets: mean (F, n), covariance (F, n, n), speed (F, V) of the odometers, time since codes [s].
 
-    misfit (F,) is how much innovations exceed what they are expected to be: their normalised squares, a measurement
-    beyond the gate counted with the square of the gate, less their number; it fades over ``MISFIT_S``.
+    misfit (F,) is how much innovations exceed what they are expected to be: their weighted squares, a measurement
+    beyond the gate counted with the square of the gate, less what noise of the declared size gives with these weights;
+    it fades over ``MISFIT_S``.
     """
 
     mean: Array
@@ -111,7 +113,7 @@ class JointFilter:
     system : (S,) system of each satellite
     places_m : (G, 3) surveyed places of the roadside units, which are the nodes after the vehicles
     epoch_s : time between updates by codes [s]
-    shared : codes are shared; else each vehicle estimates errors of satellites of its own, and units have no codes
+    shared : units share their codes; else the vehicles' codes and ranges are all there is
     """
 
     def __init__(
@@ -127,10 +129,8 @@ class JointFilter:
         self.places_m = np.empty((0, 3)) if places_m is None else places_m
         sats, first = len(system), OWN * vehicles
         self._common = slice(first, first + COMMON)
-        # Of which states the errors of the satellites are at each vehicle, and the multipath at each unit.
-        self._errors_at = [first + COMMON + (0 if shared else sats * v) for v in range(vehicles)]
-        after = first + COMMON + sats * (1 if shared else vehicles)
-        self._shared_at = first + COMMON
+        self._errors = self._common.stop  # of the satellites; after them the multipath of each unit that shares codes
+        after = self._errors + sats
         self._units_at = [after + sats * g for g in range(len(self.places_m))] if shared else []
         self._count = after + sats * len(self._units_at)
         self._rest_course = bound_correlation(0.1, config.codes.rest_tau_s, epoch_s).course
@@ -215,13 +215,16 @@ class JointFilter:
         bound[:, :v] += self._rest_course * lasting[:, :v]
         used = codes.used & (True if uses is None else uses[:, :coded, None])
         design, expected = self.code_rows(state, los_enu, parts, lasting)
+        used = used & np.isfinite(codes.code_m)
         innovation = np.where(used, codes.code_m - expected, 0.0)
-        tracked, used = used, used & self._inside(state, design, innovation, np.minimum(bound, parts.fast_m2), used)
+        plain = np.minimum(bound, parts.fast_m2)
+        tracked, used = used, used & self._inside(state, design, innovation, plain, used)
         weight = clock_free(np.where(used, 1.0 / bound, 0.0), self.system)
         rates, rate_rows = self._rate_rows(state, los_enu)
-        left = np.where(used[:, :v], codes.rate_mps[:, :v] - rates, 0.0)
+        known = used[:, :v] & np.isfinite(codes.rate_mps[:, :v])
+        left = np.where(known, codes.rate_mps[:, :v] - rates, 0.0)
         noise = c.doppler_mps**2 * parts.factor[:, :v]
-        good = used[:, :v] & self._inside(state, rate_rows, left, noise, used[:, :v])
+        good = known & self._inside(state, rate_rows, left, noise, known)
         free = clock_free(np.where(good, 1.0 / (noise * self._rate_course), 0.0), np.zeros_like(self.system))
         state.misfit *= np.exp(-self.epoch_s / MISFIT_S)
         state.misfit += c.gate_sigmas**2 * (tracked & ~used).sum((1, 2))
@@ -230,6 +233,7 @@ class JointFilter:
             np.concatenate([design, rate_rows], 1),
             np.concatenate([innovation, left], 1),
             np.concatenate([weight, free], 1),
+            np.concatenate([plain, noise], 1),
         )
         return np.asarray(used)
 
@@ -286,10 +290,11 @@ class JointFilter:
         among = np.ones_like(innovation, np.bool_)
         if uses is not None:
             among &= uses[:, ends[:, 0]] & uses[:, ends[:, 1]]
+        among &= np.isfinite(range_m)
         used = among & (np.abs(innovation) <= self.config.gate_sigmas * np.sqrt(total))
         state.misfit += self.config.gate_sigmas**2 * (among & ~used).sum(-1)
-        weight = np.where(used, 1.0 / noise, 0.0)
-        self._take(state, rows[:, None], innovation[:, None], (weight[..., None] * np.eye(len(ends)))[:, None])
+        weight = (np.where(used, 1.0 / noise, 0.0)[..., None] * np.eye(len(ends)))[:, None]
+        self._take(state, rows[:, None], np.where(used, innovation, 0.0)[:, None], weight, noise[:, None])
         return np.asarray(used)
 
     def positions(self, state: JointState) -> Array:
@@ -347,11 +352,10 @@ class JointFilter:
         every, units = np.arange(len(self.system)), len(self._units_at)
         design = np.zeros((len(state.mean), self.vehicles + units, len(every), self._count))
         own = np.sqrt(parts.own_m2)
-        for v, at in enumerate(self._errors_at):
+        for v in range(self.vehicles):
             design[:, v, :, OWN * v : OWN * v + 3] = -los_enu
-            design[:, v, every, at + every] = own[:, v]
+        design[..., every, self._errors + every] = own
         for g, at in enumerate(self._units_at, self.vehicles):
-            design[:, g, every, self._shared_at + every] = own[:, g]
             design[:, g, every, at + every] = np.sqrt(lasting[:, g])
         design[..., self._common] = parts.common_m
         errors = slice(self._common.start, None)
@@ -385,8 +389,11 @@ class JointFilter:
             centred -= np.where(among, np.where(count > 0, middle, 0.0), 0.0)
         return np.asarray(np.abs(centred) <= self.config.gate_sigmas * np.sqrt(spread))
 
-    def _take(self, state: JointState, design: Array, innovation: Array, weight: Array) -> None:
-        """Kalman update in information form by blocks of rows, design (F, K, S, n), weight matrices (F, K, S, S)."""
+    def _take(self, state: JointState, design: Array, innovation: Array, weight: Array, noise: Array) -> None:
+        """Kalman update in information form by blocks of rows, design (F, K, S, n), weight matrices (F, K, S, S).
+
+        noise (F, K, S): variances of the errors of an epoch, which the weights bound over many.
+        """
         weighted = weight @ design
         normal = np.einsum("fksi,fksj->fij", design, weighted, optimize=True)
         right = np.einsum("fksi,fks->fi", weighted, innovation)
@@ -396,14 +403,8 @@ class JointFilter:
         moved = np.einsum("fij,fj->fi", state.covariance, right)
         # Of the innovations n with weights W and design H, n'(W^-1 + H P H')^-1 n = n'W n - moved'right.
         state.misfit += np.einsum("fks,fkst,fkt->f", innovation, weight, innovation, optimize=True)
-        state.misfit -= (moved * right).sum(-1) + _rank(weight)
+        state.misfit -= (moved * right).sum(-1) + np.einsum("fkss,fks->f", weight, noise)
         state.mean = state.mean + moved
-
-
-def _rank(weight: Array) -> Array:
-    """Measurements less clocks of blocks (F, K, S, S), (F,)."""
-    diagonal = np.einsum("fkss->fks", weight)
-    return np.asarray(np.where(diagonal > 0.0, 1.0, 0.0).sum((1, 2)))
 
 
 LEAST_CODES = 6  # fewer say nothing of a whole node

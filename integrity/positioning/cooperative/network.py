@@ -3,7 +3,8 @@
 As in S2 Figure 1 each vehicle first has a position of its own (local level: INS and GNSS). The network's belief of a
 node is its last one, moved by dead reckoning, met by its local position, and updated by the factors of the epoch. The
 local position stems from the same history as the belief: they are fused by covariance intersection, and errors of dead
-reckoning may be correlated with those of the belief. So nothing is counted twice before the messages are.
+reckoning may be correlated with those of the belief. Local positions have the errors of satellites in common. ``mdpc``
+and ``split`` allow for that; SPAWN in its three forms takes beliefs as independent, and is too sure of itself.
 """
 
 from __future__ import annotations
@@ -119,7 +120,8 @@ class Network:
         if not self.joint:
             return NetworkBelief(mean, covariance)
         whole, every = np.zeros((len(mean), 3, len(mean), 3)), np.arange(len(mean))
-        whole[every, :, every, :] = covariance
+        # Correlated in unknown ways: as many times the blocks as there are vehicles bound the whole.
+        whole[every, :, every, :] = max(len(vehicles), 1) * covariance
         return NetworkBelief(mean.reshape(1, -1), whole.reshape(1, mean.size, mean.size))
 
     def _surely_surveyed(self, mean: Array, covariance: Array) -> tuple[Array, Array]:

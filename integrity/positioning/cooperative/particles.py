@@ -32,7 +32,7 @@ Ints = NDArray[np.int64]
 ROUNDS = 3
 ENOUGH = 0.25  # share of particles that a stage of MDPC leaves effective; chosen
 LEAST_STEP = 1.0 / 32.0  # of the exponent in a stage of MDPC
-WIDER = 1.2  # of the standard deviation of directed draws: tails of the weights stay bounded
+WIDER = 0.6  # over the number of coordinates: by so much directed draws are wider, so that weights have bounded tails
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def particle_messages(
         vector = np.einsum("nij,nj->ni", known, mean)
         senders, senders_vector = known[of], vector[of]
         if heard is not None:
-            senders, senders_vector = _without(senders, senders_vector, heard[0][back], heard[1][back], prior[of])
+            senders, senders_vector = _without(senders, mean[of], heard[0][back], heard[1][back], prior[of])
         heard = told(senders, senders_vector, matrix, right)
         message, message_vector = np.zeros_like(prior), np.zeros_like(mean_m)
         np.add.at(message, to[~ranged], heard[0][~ranged])
@@ -104,7 +104,7 @@ def particle_messages(
         centre, chol = mean_m, root
         if directed:
             centre, spread = sum_product(mean_m, covariance_m2, every, ROUNDS)
-            chol = np.asarray(np.linalg.cholesky(WIDER**2 * spread), np.float64)
+            chol = np.asarray((1.0 + WIDER / 3.0) * np.linalg.cholesky(spread), np.float64)
         drawn = rng.standard_normal((particles, *mean_m.shape))
         x = centre + np.einsum("nij,pnj->pni", chol, drawn)
         weight = np.einsum("pni,ni->pn", x, message_vector) - 0.5 * np.einsum("pni,nij,pnj->pn", x, message, x)
@@ -119,15 +119,18 @@ def particle_messages(
     return mean, covariance
 
 
-def _without(known: Array, vector: Array, told_matrix: Array, told_vector: Array, prior: Array) -> tuple[Array, Array]:
-    """Beliefs (E, 3, 3), (E, 3) of senders without what the receivers told them.
+def _without(known: Array, mean: Array, told_matrix: Array, told_vector: Array, prior: Array) -> tuple[Array, Array]:
+    """Information (E, 3, 3) and vectors (E, 3) of senders of belief ``known``, ``mean`` without what receivers told.
 
-    Moments of draws leave some difference indefinite; its eigenvalues are at least a thousandth of the prior's least.
+    Moments of draws leave some difference indefinite. Its eigenvalues are at least a thousandth of the prior's least;
+    in such a direction the sender stays at its mean.
     """
     values, axes = np.linalg.eigh(known - told_matrix)
     least = 1e-3 * np.linalg.eigvalsh(prior)[:, :1]
     kept = (axes * np.maximum(values, least)[:, None, :]) @ np.swapaxes(axes, -1, -2)
-    return kept, vector - told_vector
+    pulled = np.einsum("eij,ej->ei", told_matrix, mean) - told_vector  # about the mean
+    inside = np.einsum("eji,ej->ei", axes, pulled) * (values > least)
+    return kept, np.einsum("eij,ej->ei", kept, mean) + np.einsum("eij,ej->ei", axes, inside)
 
 
 def _range_weights(x: Array, senders_m: Array, senders_m2: Array, ranges: Ranges) -> Array:
@@ -174,7 +177,7 @@ def mdpc(
         spread = inverse(prior + share * (fixed[0] + ranged[0]))
         centre = spread @ (prior @ at + share * (fixed[1] + ranged[1]))
         drawn = rng.standard_normal((particles, 3 * nodes))
-        x = centre + WIDER * drawn @ np.linalg.cholesky(spread).T
+        x = centre + (1.0 + WIDER / (3.0 * nodes)) * drawn @ np.linalg.cholesky(spread).T
         off = x - at
         weight = 0.5 * np.square(drawn).sum(-1) - 0.5 * np.einsum("pi,ij,pj->p", off, prior, off)
         weight += share * (x @ fixed[1] - 0.5 * np.einsum("pi,ij,pj->p", x, fixed[0], x))

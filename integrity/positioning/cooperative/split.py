@@ -73,7 +73,8 @@ def split_messages(mean_m: Array, covariance_m2: Array, factors: Factors) -> tup
     """
     mean, before, news = mean_m.copy(), covariance_m2.copy(), np.zeros_like(covariance_m2)
     for to, of, matrix, right, lasting in _turns(factors):
-        others = inverse(covariance_m2[of] + lasting)  # what lasts is as old as what the sender knew
+        # What lasts is as old as what the sender knew.
+        others = inverse(correlated_sum(covariance_m2[of], lasting))
         others_vector = np.einsum("eij,ej->ei", others, mean_m[of])
         mean[to], before[to], news[to] = _hear(mean[to], before[to], news[to], others, others_vector, matrix, right)
     return mean, before + news

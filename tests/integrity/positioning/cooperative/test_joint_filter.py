@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from lanebound.agents.studies.cooperative import CooperativeStudyConfig, moments
+from lanebound.agents.studies.cooperative import CooperativeStudyConfig, moments, work_drive
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.navigators.fleet import Fleet, FleetConfig
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
+from lanebound.integrity.positioning.cooperative.exclusion import ExclusionConfig, NodeBank
 from lanebound.integrity.positioning.cooperative.factors import joint_solution
 from lanebound.integrity.positioning.cooperative.joint_filter import Codes, JointFilter, JointFilterConfig
 from lanebound.integrity.positioning.cooperative.shared_codes import clock_free, double_differences
@@ -159,6 +160,30 @@ def test_a_wrong_unit_is_found_and_levels_hold():
     for truth, placed in found:
         error = np.abs(placed["ekf"].position_m - truth)[:, :2]
         assert (error < placed["ekf"].level_m).all()
+
+
+def test_a_vehicle_that_lies_is_found_by_its_codes():
+    config = CooperativeStudyConfig(skies=("open",), cases=("vehicle",), warm_up_s=20.0, duration_s=20.0)
+    found = work_drive(config, "0-3")["vehicle"]
+    assert (found["found"], found["innocent"], found["beyond"]) == (1.0, 0.0, 0.0)
+    assert found["delay_s"] < 5.0
+
+
+def test_measurements_that_are_not_numbers_are_left_out():
+    joint, state, los, _, draw = still_fleet(np.random.default_rng(2))
+    codes = draw()
+    codes.code_m[0, 3], codes.rate_mps[1, 2] = np.nan, np.inf
+    used = joint.update(state, los, codes)
+    assert not used[0, 0, 3]
+    joint.update_ranges(state, np.array([(0, 1), (0, 2)]), np.array([np.nan, 60.0]), np.array([0.1, 0.1]))
+    assert np.isfinite(state.mean).all()
+    assert np.isfinite(state.covariance).all()
+
+
+def test_priors_must_leave_two_faults_rarer_than_the_risk():
+    joint, _, _, truth, _ = still_fleet(np.random.default_rng(2))
+    with pytest.raises(InputError, match="prior must be so small that two faults are rarer than integrity_risk 1e-05"):
+        NodeBank.start(ExclusionConfig(prior=1e-3), joint, truth, np.zeros(2))
 
 
 def test_without_a_fault_nobody_is_excluded_and_cooperation_pays():

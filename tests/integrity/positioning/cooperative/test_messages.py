@@ -170,3 +170,31 @@ def test_wrong_ranges_are_refused():
         range_factors([(0, 1)], [1.0], [0.0], places + np.eye(2, 3))
     with pytest.raises(InputError, match="rounds must be >= 0, got -2"):
         sum_product(places, np.tile(np.eye(3), (2, 1, 1)), Factors.none(), rounds=-2)
+
+
+@pytest.mark.parametrize("directed", [False, True])
+def test_particles_with_ranges_do_not_depend_on_the_origin(directed):
+    rng = np.random.default_rng(4)
+    places = np.array([[0.0, 0.0, 0.0], [25.0, 8.0, 0.0], [60.0, -5.0, 0.0]])
+    covariance = np.array([4.0 * np.eye(3), 4.0 * np.eye(3), 4e-4 * np.eye(3)])
+    ends = np.array([(0, 1), (0, 2), (1, 2)])
+    distance = np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=-1)
+    ranges = Ranges(ends, distance, np.full(3, 0.5), delayed=0.05, delay_m=0.3)
+    mean = places + rng.normal(size=places.shape) * [2.0, 2.0, 0.5]
+    for shift in (0.0, 700.0):
+        found = [
+            particle_messages(
+                mean + shift, covariance, Factors.none(), ranges, 2000, directed, np.random.default_rng(seed)
+            )
+            for seed in range(3)
+        ]
+        if shift == 0.0:
+            first = found
+    assert all(np.allclose(a[0] + 700.0, b[0], atol=1e-6) for a, b in zip(first, found, strict=True))
+
+
+def test_a_delayed_range_is_weighed_as_one_of_two_kinds():
+    ranges = Ranges(np.array([(0, 1)]), np.array([20.0]), np.array([0.1]), delayed=0.05, delay_m=1.0)
+    direct, late, impossible = (float(ranges.log_likelihood(np.array([d]))[0]) for d in (20.0, 19.0, 22.0))
+    assert direct - late == pytest.approx(np.log(0.95 / 0.05) + np.log(np.hypot(0.1, 1.0) / 0.1), abs=0.6)
+    assert impossible < late - 3.0
