@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.sensors.uwb_kernel import crosses_body, crosses_wall
 
 __all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "PerceptionArrays", "Radio",
            "behind_wall", "claim", "forget_slot", "hear", "in_sight", "look", "see_truth", "silence",
@@ -194,47 +195,24 @@ def hear(picture, radio, e, figures, time, claims, cars, u, lies):  # type: igno
 def in_sight(cars, ahead, i):  # type: ignore[no-untyped-def]
     """Whether the line from the middle of the ego to that of vehicle ``i`` crosses no third vehicle.
 
-    Exact: a line and a rectangle are apart when their shadows on an axis of the rectangle, or on the normal of the
-    line, are. ``ahead`` (V, 2) are the unit vectors of the headings.
+    ``ahead`` (V, 2) are the unit vectors of the headings.
     """
     x, y = cars[0].x, cars[0].y
     line_x, line_y = cars[i].x - x, cars[i].y - y
     for j in range(1, cars.shape[0]):
         if j == i or cars[j].slot < 0:
             continue
-        start_x, start_y = x - cars[j].x, y - cars[j].y
-        cos, sin = ahead[j, 0], ahead[j, 1]
-        along, across = cos * line_x + sin * line_y, cos * line_y - sin * line_x
-        if abs(2.0 * (cos * start_x + sin * start_y) + along) > abs(along) + cars[j].length:
-            continue
-        if abs(2.0 * (cos * start_y - sin * start_x) + across) > abs(across) + cars[j].width:
-            continue
-        twist = 2.0 * (start_x * line_y - start_y * line_x)
-        if abs(twist) <= abs(across) * cars[j].length + abs(along) * cars[j].width:
+        start_x, start_y, car = x - cars[j].x, y - cars[j].y, cars[j]
+        if crosses_body(start_x, start_y, line_x, line_y, ahead[j, 0], ahead[j, 1], car.length, car.width):
             return False
     return True
 
 
 @jit(borrows=True)
 def behind_wall(cars, walls, i):  # type: ignore[no-untyped-def]
-    """Whether the line from the middle of the ego to that of vehicle ``i`` crosses a building of ``walls`` (W, 4).
-
-    Of the line ``p + t d``, t in [0, 1], the parts between the two sides of a building along x and along y are found;
-    it crosses the building where these have more than a point in common.
-    """
+    """Whether the line from the middle of the ego to that of vehicle ``i`` crosses a building of ``walls`` (W, 4)."""
     for k in range(walls.shape[0]):
-        first, last = 0.0, 1.0
-        for axis in range(2):
-            start = cars[0].x if axis == 0 else cars[0].y
-            way = (cars[i].x if axis == 0 else cars[i].y) - start
-            low, high = walls[k, 2 * axis] - start, walls[k, 2 * axis + 1] - start
-            if way == 0.0:
-                if low >= 0.0 or high <= 0.0:
-                    last = -math.inf
-            else:
-                one, other = low / way, high / way
-                first, last = max(first, min(one, other)), min(last, max(one, other))
-        if first < last:
+        if crosses_wall(cars[0].x, cars[0].y, cars[i].x - cars[0].x, cars[i].y - cars[0].y, walls[k]):
             return True
     return False
 
