@@ -94,7 +94,8 @@ class RangingConfig(Config):
         offset = k.offset_m if self.offset_sigma_m is None else self.offset_sigma_m
         late = self.late_share if self.kind == "uwb" else 0.0
         return one_record(
-            RANGING, modules=1 + len(second), arms=(first, *(second or [first])), epoch_s=epoch_s, rate_hz=self.rate_hz,
+            RANGING, modules=1 + len(second), arms=(first, *(second or [first])), epoch_s=epoch_s,
+            rate_hz=min(self.rate_hz, 1.0 / epoch_s),
             sigma_m=k.sigma_m if self.sigma_m is None else self.sigma_m, module_sigma_m=offset / math.sqrt(2.0),
             range_m=k.range_m if self.range_m is None else self.range_m, wave_m=k.wave_m, loss=self.loss,
             late_share=late, late_mean_m=self.late_mean_m, late_s=self.late_s, shadow_db=k.shadow_db, path=k.path,

@@ -102,8 +102,8 @@ def crosses_wall(x, y, line_x, line_y, wall):  # type: ignore[no-untyped-def]
 def around(line, corners, string):  # type: ignore[no-untyped-def]
     """How much longer the shortest way around a convex quadrangle is than a line of length ``line`` that crosses it.
 
-    corners (4, 2): counterclockwise, by their distance along the line and beside it; string (6, 2) is scratch. On each side
-    the way is a string pulled tight: end points and the corners of that side, less those where it would bend inwards.
+    corners (4, 2): counterclockwise, by their distance along the line and beside it; string (6, 2) is scratch. On each
+    side the way is a string pulled tight: end points and the corners of that side, less those where it would bend in.
     """
     least = math.inf
     for side in (1.0, -1.0):

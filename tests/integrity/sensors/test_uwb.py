@@ -90,10 +90,9 @@ class Ranger:
 
     def __call__(self) -> np.ndarray:
         normal, uniform = self.rng.standard_normal((self.n + 1, 4)), self.rng.random((self.n + 1, 8))
-        out, ahead = np.zeros((self.n, uk.PAIRS)), np.zeros((self.n + 1, 2))
-        uk.range_all(
-            self.figures, self.cars, self.modules, self.links, self.walls, normal, uniform, ahead, np.zeros((10, 2)), out
-        )  # fmt: skip
+        out, ahead, scratch = np.zeros((self.n, uk.PAIRS)), np.zeros((self.n + 1, 2)), np.zeros((10, 2))
+        figures, cars, links = self.figures, self.cars, self.links
+        uk.range_all(figures, cars, self.modules, links, self.walls, normal, uniform, ahead, scratch, out)
         return out
 
 
