@@ -75,9 +75,11 @@ RELATION = record(
     claimed_yy="its covariance",
     claims=("i8", "1 where there is one, with levels; 2 without levels"),
     silent_s="since the last range",
-    astray_s="for which no range fits the prediction",
+    begun_s="since the position has begun",
+    astray_s="for which less than half of the ranges fit the prediction",
     against_s="for which both positions disagree",
-    against=("i8", "1 where they do now"),
+    against=("i8", "1 where they do now, and late ranges do not explain it"),
+    doubt=("i8", "1 where they do now"),
     sided=("i8", "1 once ranges have refuted the mirrored position"),
     from_x_m="position from which the motion since then is to refute it",
     from_y_m="position from which the motion since then is to refute it",
@@ -222,10 +224,11 @@ def _start_mirror(rel):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _refute_mirror(rel, r, f, tracking, cos, sin, xx, xy, yy):  # type: ignore[no-untyped-def]
-    """Whether motion has brought the mirrored position to another distance than the ranges show.
+def _refute_side(rel, r, f, tracking, cos, sin, xx, xy, yy):  # type: ignore[no-untyped-def]
+    """Whether motion has brought the mirrored position to another distance than the ranges show, or only our own.
 
-    Speeds that are ``lag`` old are wrong together by the change of the speed times that; wheels by their scale.
+    Speeds that are ``lag`` old are wrong together by the change of the speed times that, wheels by their scale, and
+    the first ranges may have been late. Returns whether ours is refuted.
     """
     x, y = _mirrored(r, rel.x_m, rel.y_m, cos, sin)
     x, y = rel.x_m - x, rel.y_m - y
@@ -233,30 +236,44 @@ def _refute_mirror(rel, r, f, tracking, cos, sin, xx, xy, yy):  # type: ignore[n
     if 0.5 * gap < f.sigmas * math.sqrt(_along(x / gap, y / gap, xx, xy, yy)):  # both sides are one
         _start_mirror(rel)
     if rel.sided != 0:
-        return
+        return False
     x, y = _mirrored(r, rel.from_x_m, rel.from_y_m, cos, sin)
     size = max(math.hypot(rel.x_m, rel.y_m), ROUNDING)
-    apart = abs(math.hypot(x + rel.moved_x_m, y + rel.moved_y_m) - size)
+    other = abs(math.hypot(x + rel.moved_x_m, y + rel.moved_y_m) - size)
+    own = abs(math.hypot(rel.from_x_m + rel.moved_x_m, rel.from_y_m + rel.moved_y_m) - size)
     noise = 2.0 * f.sigmas * math.sqrt(_along(rel.x_m / size, rel.y_m / size, xx, xy, yy))
+    if r.late_share > 0.0:
+        noise += r.late_mean_m * max(0.5 * f.log_risk + math.log(r.late_share), 0.0)
     change = abs(rel.speed_mps - rel.from_mps) + tracking.along_mps2 * rel.lag_s
-    if apart > noise + rel.lag_s * change + SCALE * rel.driven_m:
+    bound = noise + rel.lag_s * change + SCALE * rel.driven_m
+    if own > bound and other > bound:
+        _start_mirror(rel)
+    elif other > bound:
         rel.sided = 1
+    return own > bound and other <= bound
 
 
 @jit(borrows=True)
-def _first_guess(rel, r, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def]
-    """A position by ranges on the side of (x, y): exact for two modules of the ego, else in that direction."""
-    mean, count = 0.0, 0
+def _first_guess(rel, r, f, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def]
+    """A position by ranges on the side of (x, y): returns whether the two modules of the ego show the bearing.
+
+    Else it is in the direction of (x, y).
+    """
+    mean, count, sigma = 0.0, 0, _range_sigma(r, math.hypot(x, y))
     for pair in range(PAIRS):
         if ranges[pair] >= 0.0:
             mean, count = mean + ranges[pair], count + 1
     size = max(math.hypot(x, y), ROUNDING)
-    rel.x_m, rel.y_m = x / size * mean / count, y / size * mean / count
-    if r.modules < 2:
-        return
+    ux, uy, mean = x / size, y / size, mean / count
+    rel.x_m, rel.y_m = ux * mean, uy * mean
+    across, along = ANYWHERE_M**2, sigma * sigma / count
+    rel.xx, rel.yy = along * ux * ux + across * uy * uy, along * uy * uy + across * ux * ux
+    rel.xy = (along - across) * ux * uy
     ax, ay = _arm(r, 0, cos, sin)
     ex, ey = _arm(r, 1, cos, sin)
     base = math.hypot(ex - ax, ey - ay)
+    if f.sigmas * sigma * math.sqrt(2.0) >= BENT * base:
+        return False
     ex, ey = (ex - ax) / base, (ey - ay) / base
     side = 1.0 if ex * (y - ay) - ey * (x - ax) >= 0.0 else -1.0
     guess_x, guess_y, found = 0.0, 0.0, 0
@@ -271,6 +288,7 @@ def _first_guess(rel, r, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def
         found += 1
     if found > 0:
         rel.x_m, rel.y_m = guess_x / found, guess_y / found
+    return found > 0
 
 
 @jit(borrows=True)
@@ -279,11 +297,11 @@ def _begin(rel, r, f, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def]
 
     Least squares; a range that is too long for the others is left out while three are left.
     """
-    _first_guess(rel, r, ranges, x, y, cos, sin)
+    resolved = _first_guess(rel, r, f, ranges, x, y, cos, sin)
     left, out = 0, 0  # out: a bit for each pair that is left out
     for pair in range(PAIRS):
         left += 1 if ranges[pair] >= 0.0 else 0
-    for turn in range(2 * PAIRS):
+    for turn in range(2 * PAIRS if resolved else 0):
         weak = 1.0 / ANYWHERE_M**2
         nxx, nxy, nyy, gx, gy = weak, 0.0, weak, 0.0, 0.0
         for pair in range(PAIRS):
@@ -315,18 +333,25 @@ def _begin(rel, r, f, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def]
             w = 1.0 / (_range_sigma(r, ranges[pair]) ** 2 + 2.0 * r.module_sigma_m**2)
             _change(rel, 0, -w * (rel.xx * ux + rel.xy * uy), pair, turn_own, turn_other)
             _change(rel, 1, -w * (rel.xy * ux + rel.yy * uy), pair, turn_own, turn_other)
-    rel.known, rel.used, rel.silent_s, rel.astray_s = 1, left, 0.0, 0.0
-    _start_mirror(rel)
+    rel.known, rel.used, rel.silent_s, rel.astray_s, rel.begun_s = 1, left, 0.0, 0.0, 0.0
 
 
 @jit(borrows=True)
-def _update(rel, r, f, ranges, mirror_x, mirror_y, cos, sin):  # type: ignore[no-untyped-def]
-    """Take the ranges of an epoch in; returns 1 where one is shorter than the position permits, 2 if the mirrored
-    position permits all.
+def _begin_anew(rel, r, f, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def]
+    """Begin another time; motion is to refute the mirrored position from there, if that is elsewhere."""
+    last_x, last_y = rel.x_m, rel.y_m
+    _begin(rel, r, f, ranges, x, y, cos, sin)
+    if math.hypot(rel.x_m - last_x, rel.y_m - last_y) > 0.5 * BENT * math.hypot(last_x, last_y):
+        _start_mirror(rel)
+
+
+@jit(borrows=True)
+def _update(rel, r, f, ranges, cos, sin):  # type: ignore[no-untyped-def]
+    """Take the ranges of an epoch in; returns whether one is shorter than the position permits.
 
     Ranges that are too long are of a later path, or the position is wrong: they are left out.
     """
-    used, heard, short, other_fits = 0, 0, False, 0
+    used, short = 0, False
     for pair in range(PAIRS):
         if ranges[pair] < 0.0:
             continue
@@ -336,10 +361,6 @@ def _update(rel, r, f, ranges, mirror_x, mirror_y, cos, sin):  # type: ignore[no
         constant = 2.0 * r.module_sigma_m**2
         variance = _along(ux, uy, xx, xy, yy) + noise + constant
         innovation, sigma = ranges[pair] - distance, math.sqrt(variance)
-        heard += 1
-        if r.modules == 2:
-            other = ranges[pair] - _expect(rel, r, pair, mirror_x, mirror_y, cos, sin)[0]
-            other_fits += 1 if abs(other) < LATE_SIGMAS * sigma else 0
         if innovation > LATE_SIGMAS * sigma or innovation < -f.gate * sigma:
             short = short or innovation < 0.0
             continue
@@ -359,51 +380,44 @@ def _update(rel, r, f, ranges, mirror_x, mirror_y, cos, sin):  # type: ignore[no
         _change(rel, 1, -ky, pair, turn_own, turn_other)
         used += 1
     rel.used = used
-    if not short:
-        return 0
-    return 2 if other_fits == heard and r.modules == 2 else 1
+    return short
 
 
 @jit(borrows=True)
 def _follow(rel, r, f, ranges, tracking, time, b, dt):  # type: ignore[no-untyped-def]
-    """One epoch of the position by ranges."""
+    """One epoch of the position by ranges. Of a sender that is trusted the side is the claimed one."""
     cos, sin, count = math.cos(b.heading_rad), math.sin(b.heading_rad), 0
     for pair in range(PAIRS):
         count += 1 if ranges[pair] >= 0.0 else 0
-    mirror_x, mirror_y = 0.0, 0.0
     if rel.known != 0:
-        if r.modules == 2:
-            mirror_x, mirror_y = _mirrored(r, rel.x_m, rel.y_m, cos, sin)
-        x, y = rel.x_m, rel.y_m
         _move(rel, f, tracking, time, b, dt)
-        mirror_x, mirror_y = mirror_x + rel.x_m - x, mirror_y + rel.y_m - y
+        rel.begun_s += dt
         rel.silent_s = 0.0 if count > 0 else rel.silent_s + dt
         if rel.silent_s > tracking.drop_after_s + ROUNDING:
             rel.known = 0
-    if count == 0:
+    if count == 0 or (rel.known == 0 and rel.claims == 0):
         return
-    trusted = rel.claims != 0 and rel.reason == 0
+    x, y = rel.x_m, rel.y_m
+    if rel.known == 0 or (rel.claims != 0 and rel.reason == 0):
+        x, y = rel.claimed_x_m, rel.claimed_y_m
     if rel.known == 0:
-        if rel.claims != 0:
-            _begin(rel, r, f, ranges, rel.claimed_x_m, rel.claimed_y_m, cos, sin)
+        _begin(rel, r, f, ranges, x, y, cos, sin)
+        _start_mirror(rel)
         return
     xx, xy, yy = _covariance(rel, f, r.module_sigma_m**2)
     size = max(math.hypot(rel.x_m, rel.y_m), ROUNDING)
-    across = _along(-rel.y_m / size, rel.x_m / size, xx, xy, yy)
-    if f.sigmas * math.sqrt(across) > BENT * size:
-        if trusted:
-            _begin(rel, r, f, ranges, rel.claimed_x_m, rel.claimed_y_m, cos, sin)
-        else:
-            _begin(rel, r, f, ranges, rel.x_m, rel.y_m, cos, sin)
+    if f.sigmas * math.sqrt(_along(-rel.y_m / size, rel.x_m / size, xx, xy, yy)) > BENT * size:
+        _begin_anew(rel, r, f, ranges, x, y, cos, sin)
         return
-    wrong = _update(rel, r, f, ranges, mirror_x, mirror_y, cos, sin)
-    rel.astray_s = 0.0 if rel.used > 0 else rel.astray_s + dt
-    if wrong == 2:
-        _begin(rel, r, f, ranges, mirror_x, mirror_y, cos, sin)
-    elif wrong == 1 or rel.astray_s >= _patience_s(r, f, count):
-        _begin(rel, r, f, ranges, rel.x_m, rel.y_m, cos, sin)
-    elif r.modules == 2:
-        _refute_mirror(rel, r, f, tracking, cos, sin, xx, xy, yy)
+    short = _update(rel, r, f, ranges, cos, sin)
+    rel.astray_s = 0.0 if 2 * rel.used >= count else rel.astray_s + dt
+    if short or rel.astray_s >= _patience_s(r, f, count):
+        _begin_anew(rel, r, f, ranges, x, y, cos, sin)
+    elif r.modules == 2 and _refute_side(rel, r, f, tracking, cos, sin, xx, xy, yy) and rel.reason != 0:
+        x, y = _mirrored(r, rel.x_m, rel.y_m, cos, sin)
+        _begin(rel, r, f, ranges, x, y, cos, sin)
+        _start_mirror(rel)
+        rel.sided = 1
 
 
 @jit(borrows=True)
@@ -417,7 +431,7 @@ def _patience_s(r, f, pairs):  # type: ignore[no-untyped-def]
 @jit(borrows=True)
 def _compare(rel, r, f, dt):  # type: ignore[no-untyped-def]
     """Compare both positions: whether they disagree, and how (SHORT, LONG, ACROSS)."""
-    rel.against = 0
+    rel.against = rel.doubt = 0
     if rel.known == 0 or rel.claims != 1:
         return 0
     xx, xy, yy = _covariance(rel, f, r.module_sigma_m**2 + 0.5 * (f.hidden_m / f.sigmas) ** 2)
@@ -426,11 +440,12 @@ def _compare(rel, r, f, dt):  # type: ignore[no-untyped-def]
     ux, uy = rel.x_m / size, rel.y_m / size
     dx, dy = rel.x_m - rel.claimed_x_m, rel.y_m - rel.claimed_y_m
     radial = dx * ux + dy * uy
+    det = xx * yy - xy * xy
+    rel.doubt = 1 if (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / det > f.ellipse else 0
     if radial > 0.0:  # what delays explain
         late = min(radial, _late_m(r, f, size, rel.used))
         dx, dy, radial = dx - late * ux, dy - late * uy, radial - late
-    square = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / (xx * yy - xy * xy)
-    rel.against = 1 if square > f.ellipse else 0
+    rel.against = 1 if (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / det > f.ellipse else 0
     rel.against_s = rel.against_s + dt if rel.against != 0 else 0.0
     if radial * radial > f.ellipse * _along(ux, uy, xx, xy, yy):
         return SHORT if radial < 0.0 else LONG
@@ -438,8 +453,17 @@ def _compare(rel, r, f, dt):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _hidden(rel, f, x, y):  # type: ignore[no-untyped-def]
-    """Error in a direction (x, y) by later paths that no gate has found.
+def _hidden_m(rel, r, f):  # type: ignore[no-untyped-def]
+    """Excess of two later paths together that is not found: below the gate, or there since the position has begun."""
+    if r.late_share <= 0.0:
+        return 0.0
+    since = 0.5 * f.log_risk + math.log(r.late_share) - rel.begun_s / r.late_s
+    return max(f.hidden_m, r.late_mean_m * since)
+
+
+@jit(borrows=True)
+def _hidden(rel, hidden, x, y):  # type: ignore[no-untyped-def]
+    """Error in a direction (x, y) by later paths with an excess up to ``hidden``.
 
     That both pairs of one module are on such paths is likelier than the risk, so it is no matter of deviations. All
     pairs are not: at most three of four, one and a half times the effect of a module.
@@ -447,7 +471,7 @@ def _hidden(rel, f, x, y):  # type: ignore[no-untyped-def]
     most = 0.0
     for k in range(PAIRS):
         most = max(most, abs(x * rel.bias[0, k] + y * rel.bias[1, k]))
-    return 1.5 * f.hidden_m * most
+    return 1.5 * hidden * most
 
 
 @jit(borrows=True)
@@ -460,9 +484,9 @@ def _show(rel, r, f, track, b):  # type: ignore[no-untyped-def]
     cxx, cxy, cyy = rel.claimed_xx, rel.claimed_xy, rel.claimed_yy
     dx, dy, size = rel.claimed_x_m - rel.x_m, rel.claimed_y_m - rel.y_m, max(math.hypot(rel.x_m, rel.y_m), ROUNDING)
     ux, uy = rel.x_m / size, rel.y_m / size
-    late = _late_m(r, f, size, rel.used)
+    late, hidden = _late_m(r, f, size, rel.used), _hidden_m(rel, r, f)
     gxx, gxy, gyx, gyy = 0.0, 0.0, 0.0, 0.0  # gain of the broadcast position: P (P + B)^-1
-    if rel.claims == 1 and rel.reason == 0 and rel.against == 0:
+    if rel.claims == 1 and rel.reason == 0 and rel.doubt == 0:
         sxx, sxy, syy = xx + cxx, xy + cxy, yy + cyy
         det = sxx * syy - sxy * sxy
         gxx, gxy = (xx * syy - xy * sxy) / det, (xy * sxx - xx * sxy) / det
@@ -482,16 +506,21 @@ def _show(rel, r, f, track, b):  # type: ignore[no-untyped-def]
         tx, ty = gxx * ax + gyx * ay, gxy * ax + gyy * ay  # what a direction takes from the broadcast, and the rest
         wx, wy = ax - tx, ay - ty
         level = f.sigmas * math.sqrt(_along(wx, wy, xx, xy, yy) + _along(tx, ty, cxx, cxy, cyy))
-        level += _hidden(rel, f, wx, wy) + late * abs(ax * ux + ay * uy)
-        if rel.reason == 0 and rel.against != 0:  # either may be right
+        level += _hidden(rel, hidden, wx, wy) + late * abs(ax * ux + ay * uy)
+        if rel.reason == 0 and rel.doubt != 0:  # either may be right
             level = max(level, abs(ax * dx + ay * dy) + f.sigmas * math.sqrt(_along(ax, ay, cxx, cxy, cyy)))
-        if rel.reason != 0 and rel.sided == 0 and r.modules == 2:
+        if (rel.reason != 0 or rel.doubt != 0) and rel.sided == 0 and r.modules == 2:
             mx, my = _mirrored(r, x, y, math.cos(b.heading_rad), math.sin(b.heading_rad))
             level += abs(ax * (mx - x) + ay * (my - y))
         if across:
             track.pl_ct_m = level
         else:
             track.pl_at_m = level
+    if rel.claims == 1 and rel.reason == 0 and rel.doubt == 0:  # ranges that have just begun may help too little
+        at = f.sigmas * math.sqrt(_along(cos, sin, cxx, cxy, cyy))
+        ct = f.sigmas * math.sqrt(_along(-sin, cos, cxx, cxy, cyy))
+        if at + ct < track.pl_at_m + track.pl_ct_m:
+            track.pl_at_m, track.pl_ct_m, x, y = at, ct, rel.claimed_x_m, rel.claimed_y_m
     track.x_m, track.y_m, track.time_s = b.x_m + x, b.y_m + y, 0.0
     track.heading_rad, track.speed_mps = rel.heading_rad, rel.speed_mps
 

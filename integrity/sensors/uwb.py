@@ -70,10 +70,10 @@ class RangingConfig(Config):
         None, gt=0, description="distance at which the link budget is used up in free space [m]; None: of the kind"
     )
     late_share: float = Field(
-        0.05, ge=0, lt=1, description="share of ranges of a later path in free sight [-]; chosen, indoors as large"
+        0.05, ge=0, lt=1, description="share of ranges of a later path in free sight [-]; chosen, 0.034 indoors"
     )
     late_mean_m: float = Field(
-        0.3, ge=0, description="mean of the exponential excess of these [m]; O'Lone 2019; chosen, above that indoors"
+        0.4, ge=0, description="mean of the exponential excess of these (O'Lone 2019) [m]; 0.38 indoors, uwb_indoor"
     )
     late_s: float = Field(0.5, gt=0, description="mean time for which a pair of modules stays on one path [s]; chosen")
     height_m: float = Field(1.6, gt=0, description="height of all modules [m]; above the roof of a car")

@@ -133,7 +133,7 @@ def test_noise_late_paths_and_losses_have_the_stated_statistics() -> None:
     low, high = chi2.ppf([TAIL, 1 - TAIL], clear.size)
     assert 0.98 * low < (clear**2).sum() < 1.02 * high
     far = errors > 0.15  # 6.5 sigma: late, with an excess above that
-    share = 0.05 * math.exp(-0.15 / 0.3 + 0.5 * (0.023 / 0.3) ** 2)  # of an exponential and a normal together
+    share = 0.05 * math.exp(-0.15 / 0.4 + 0.5 * (0.023 / 0.4) ** 2)  # of an exponential and a normal together
     assert binom.ppf(TAIL, errors.size, share) <= far.sum() <= binom.isf(TAIL, errors.size, share)
 
 
