@@ -254,24 +254,38 @@ def _refute_side(rel, r, f, tracking, cos, sin, xx, xy, yy):  # type: ignore[no-
 
 
 @jit(borrows=True)
-def _first_guess(rel, r, f, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def]
-    """A position by ranges on the side of (x, y): returns whether the two modules of the ego show the bearing.
+def _by_distance(rel, r, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def]
+    """Begin with a distance in the direction of (x, y): that of the shortest range where they may be late, or the mean.
 
-    Else it is in the direction of (x, y).
+    Ranges are those of the middles once the lever arms along that direction are taken off.
     """
-    mean, count, sigma = 0.0, 0, _range_sigma(r, math.hypot(x, y))
+    size, mean, least, count = max(math.hypot(x, y), ROUNDING), 0.0, math.inf, 0
+    ux, uy = x / size, y / size
     for pair in range(PAIRS):
         if ranges[pair] >= 0.0:
-            mean, count = mean + ranges[pair], count + 1
-    size = max(math.hypot(x, y), ROUNDING)
-    ux, uy, mean = x / size, y / size, mean / count
-    rel.x_m, rel.y_m = ux * mean, uy * mean
-    across, along = ANYWHERE_M**2, sigma * sigma / count
+            ax, ay = _arm(r, pair // 2, cos, sin)
+            bx, by = _arm(r, pair % 2, math.cos(rel.heading_rad), math.sin(rel.heading_rad))
+            distance = ranges[pair] - ux * (bx - ax) - uy * (by - ay)
+            mean, least, count = mean + distance, min(least, distance), count + 1
+    distance = least if r.late_share > 0.0 else mean / count
+    along, across = _range_sigma(r, distance) ** 2 / (1 if r.late_share > 0.0 else count), ANYWHERE_M**2
+    rel.x_m, rel.y_m = ux * distance, uy * distance
     rel.xx, rel.yy = along * ux * ux + across * uy * uy, along * uy * uy + across * ux * ux
     rel.xy = (along - across) * ux * uy
+    rel.bias[:] = 0.0
+    for pair in range(PAIRS):
+        if ranges[pair] >= 0.0:
+            _change(rel, 0, -ux / count, pair, 0.0, 0.0)
+            _change(rel, 1, -uy / count, pair, 0.0, 0.0)
+    rel.used = count
+
+
+@jit(borrows=True)
+def _by_bearing(rel, r, f, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def]
+    """The position at which both modules of the ego have their ranges, on the side of (x, y); whether there is one."""
     ax, ay = _arm(r, 0, cos, sin)
     ex, ey = _arm(r, 1, cos, sin)
-    base = math.hypot(ex - ax, ey - ay)
+    base, sigma = math.hypot(ex - ax, ey - ay), _range_sigma(r, math.hypot(rel.x_m, rel.y_m))
     if f.sigmas * sigma * math.sqrt(2.0) >= BENT * base:
         return False
     ex, ey = (ex - ax) / base, (ey - ay) / base
@@ -282,7 +296,9 @@ def _first_guess(rel, r, f, ranges, x, y, cos, sin):  # type: ignore[no-untyped-
         if near < 0.0 or far < 0.0:
             continue
         along = (base * base + near * near - far * far) / (2.0 * base)
-        off = side * math.sqrt(max(near * near - along * along, 0.0))
+        if abs(along) > near:  # one of both is late
+            continue
+        off = side * math.sqrt(near * near - along * along)
         bx, by = _arm(r, j, math.cos(rel.heading_rad), math.sin(rel.heading_rad))
         guess_x, guess_y = guess_x + ax + along * ex - off * ey - bx, guess_y + ay + along * ey + off * ex - by
         found += 1
@@ -295,13 +311,15 @@ def _first_guess(rel, r, f, ranges, x, y, cos, sin):  # type: ignore[no-untyped-
 def _begin(rel, r, f, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def]
     """A position by the ranges of one epoch alone, on the side of (x, y).
 
-    Least squares; a range that is too long for the others is left out while three are left.
+    Least squares; a range that is too long for the others is left out while three are left. Where the rest do not
+    fit, the distance is all that is taken from them.
     """
-    resolved = _first_guess(rel, r, f, ranges, x, y, cos, sin)
-    left, out = 0, 0  # out: a bit for each pair that is left out
-    for pair in range(PAIRS):
-        left += 1 if ranges[pair] >= 0.0 else 0
-    for turn in range(2 * PAIRS if resolved else 0):
+    _by_distance(rel, r, ranges, x, y, cos, sin)
+    rel.known, rel.silent_s, rel.astray_s, rel.begun_s = 1, 0.0, 0.0, 0.0
+    if not _by_bearing(rel, r, f, ranges, x, y, cos, sin):
+        return
+    left, out, worst = rel.used, 0, 0.0  # out: a bit for each pair that is left out
+    for turn in range(2 * PAIRS):
         weak = 1.0 / ANYWHERE_M**2
         nxx, nxy, nyy, gx, gy = weak, 0.0, weak, 0.0, 0.0
         for pair in range(PAIRS):
@@ -315,25 +333,27 @@ def _begin(rel, r, f, ranges, x, y, cos, sin):  # type: ignore[no-untyped-def]
         rel.x_m, rel.y_m = rel.x_m + rel.xx * gx + rel.xy * gy, rel.y_m + rel.xy * gx + rel.yy * gy
         if turn % 2 == 0:
             continue
-        worst, at = 0.0, -1
+        most, at, worst = 0.0, -1, 0.0
         for pair in range(PAIRS):
             if ranges[pair] >= 0.0 and (out >> pair) & 1 == 0:
                 distance, _, _, _, _ = _expect(rel, r, pair, rel.x_m, rel.y_m, cos, sin)
-                sigma = math.sqrt(_range_sigma(r, distance) ** 2 + 2.0 * r.module_sigma_m**2)
-                over = (ranges[pair] - distance) / sigma
-                if over > worst:
-                    worst, at = over, pair
-        if worst < 0.5 * f.gate or left <= 3:
+                over = (ranges[pair] - distance) / math.sqrt(_range_sigma(r, distance) ** 2 + 2.0 * r.module_sigma_m**2)
+                worst = max(worst, abs(over))
+                if over > most:
+                    most, at = over, pair
+        if most < 0.5 * f.gate or left <= 3:
             break
         out, left = out | (1 << at), left - 1
-    rel.bias[:] = 0.0
+    if not worst < f.gate:
+        _by_distance(rel, r, ranges, x, y, cos, sin)
+        return
+    rel.used, rel.bias[:] = left, 0.0
     for pair in range(PAIRS):
         if ranges[pair] >= 0.0 and (out >> pair) & 1 == 0:
             _, ux, uy, turn_own, turn_other = _expect(rel, r, pair, rel.x_m, rel.y_m, cos, sin)
             w = 1.0 / (_range_sigma(r, ranges[pair]) ** 2 + 2.0 * r.module_sigma_m**2)
             _change(rel, 0, -w * (rel.xx * ux + rel.xy * uy), pair, turn_own, turn_other)
             _change(rel, 1, -w * (rel.xy * ux + rel.yy * uy), pair, turn_own, turn_other)
-    rel.known, rel.used, rel.silent_s, rel.astray_s, rel.begun_s = 1, left, 0.0, 0.0, 0.0
 
 
 @jit(borrows=True)
@@ -429,12 +449,18 @@ def _patience_s(r, f, pairs):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
+def _below_gate_m(rel, r, f):  # type: ignore[no-untyped-def]
+    """Excess of a pair that is not found: below the gate, or by diffraction, by which pairs are late differently."""
+    return max(f.hidden_m, min(most_excess(r, math.hypot(rel.x_m, rel.y_m)), f.bodies_m))
+
+
+@jit(borrows=True)
 def _compare(rel, r, f, dt):  # type: ignore[no-untyped-def]
     """Compare both positions: whether they disagree, and how (SHORT, LONG, ACROSS)."""
     rel.against = rel.doubt = 0
     if rel.known == 0 or rel.claims != 1:
         return 0
-    xx, xy, yy = _covariance(rel, f, r.module_sigma_m**2 + 0.5 * (f.hidden_m / f.sigmas) ** 2)
+    xx, xy, yy = _covariance(rel, f, r.module_sigma_m**2 + 0.5 * (_below_gate_m(rel, r, f) / f.sigmas) ** 2)
     xx, xy, yy = xx + rel.claimed_xx, xy + rel.claimed_xy, yy + rel.claimed_yy
     size = max(math.hypot(rel.x_m, rel.y_m), ROUNDING)
     ux, uy = rel.x_m / size, rel.y_m / size
@@ -458,7 +484,7 @@ def _hidden_m(rel, r, f):  # type: ignore[no-untyped-def]
     if r.late_share <= 0.0:
         return 0.0
     since = 0.5 * f.log_risk + math.log(r.late_share) - rel.begun_s / r.late_s
-    return max(f.hidden_m, r.late_mean_m * since)
+    return max(_below_gate_m(rel, r, f), r.late_mean_m * since)
 
 
 @jit(borrows=True)
