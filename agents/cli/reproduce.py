@@ -82,6 +82,7 @@ def barrier_promise(
         str | None, typer.Option(help="Only episodes whose fault is of this kind, such as v2v_lie.")
     ] = None,
     jobs: Jobs = 1,
+    assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
     """The barrier filter under reckless drivers: is its barrier ever negative, without faults and with them?
@@ -90,7 +91,7 @@ def barrier_promise(
     """
     from lanebound.agents.studies.barrier_promise import BarrierPromiseConfig, run_promise, shown
 
-    config = BarrierPromiseConfig.load(changes(None, episodes=episodes, source=source, kind=kind))
+    config = BarrierPromiseConfig.load(changes(assignments, episodes=episodes, source=source, kind=kind))
     found = carry_out(out, "part", lambda report: run_promise(config, out, jobs, report), "episodes")
     show(found, shown(found), as_json, f"promise.json: {out}")
 
