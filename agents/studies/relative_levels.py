@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore
 from lanebound.agents.studies.study import Shown, claim, parts_of, stored
+from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.env import VectorDrivingEnv, engines
 from lanebound.integrity.assessment.accuracy import clopper_pearson
 from lanebound.integrity.core.config import Config, Field
@@ -70,16 +71,18 @@ def drive_named(config: RelativeLevelsConfig, name: str, advance: Advance = igno
     levels: list[NDArray[np.float64]] = []
     with closing(engines()[f"lanebound/{kind}-v0"](count, given)) as envs:
         envs.reset(seed=config.first_seed)
+        assert isinstance(envs.engine, Engine)
         age, known = np.zeros(count, dtype=np.int64), set[tuple[int, int, int]]()
         episode = np.zeros(count, dtype=np.int64)
         for step in range(config.decisions):
+            episodes = envs.engine.episodes
             *_, ends, cut, _ = envs.step(_actions(envs, rng))
             age, episode = np.where(ends | cut, 0, age + 1), episode + (ends | cut)
-            counts, at = _counted(envs.engine.episodes, np.flatnonzero(age >= SETTLED_STEPS))
+            counts, at = _counted(episodes, np.flatnonzero(age >= SETTLED_STEPS))
             for key, value in counts.items():
                 found[key] += value
             levels.append(at)
-            _note_excluded(envs.engine.episodes, episode, known, found)
+            _note_excluded(episodes, episode, known, found)
             advance((step + 1) / config.decisions)
     every = np.concatenate(levels)
     return found | {"pl_at_m": _middle(every[:, 0]), "pl_ct_m": _middle(every[:, 1])}

@@ -501,7 +501,7 @@ def _hidden(rel, hidden, x, y):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def _show(rel, r, f, track, b):  # type: ignore[no-untyped-def]
+def _show(rel, r, f, track, time, b):  # type: ignore[no-untyped-def]
     """Fill the track of a vehicle: the position by all that is trusted, with its levels."""
     if rel.known == 0:
         silence(track, math.inf)
@@ -548,7 +548,7 @@ def _show(rel, r, f, track, b):  # type: ignore[no-untyped-def]
         if at + ct < track.pl_at_m + track.pl_ct_m:
             track.pl_at_m, track.pl_ct_m, x, y = at, ct, rel.claimed_x_m, rel.claimed_y_m
     track.x_m, track.y_m, track.time_s = b.x_m + x, b.y_m + y, 0.0
-    track.heading_rad, track.speed_mps = rel.heading_rad, rel.speed_mps
+    track.heading_rad, track.speed_mps, track.lag_s = rel.heading_rad, rel.speed_mps, max(time - rel.heard_s, 0.0)
 
 
 @jit(borrows=True)
@@ -578,4 +578,4 @@ def relate(picture, relations, held, tracks, ranges, r, f, tracking, time, b):  
         if rel.reason != 0:
             silence(held[i], -math.inf)
             picture.excluded += 1
-        _show(rel, r, f, tracks[i], b)
+        _show(rel, r, f, tracks[i], time, b)

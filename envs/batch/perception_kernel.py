@@ -50,6 +50,7 @@ SIGHTING = record(
     pl_ct_m="bound across the heading",
     time_s="of the measurement; its age in what the sensor holds",
     acceleration_mps2="along the heading then, as a CAM says; else 0",
+    lag_s="by which the speed is older than the position",
 )
 SLOT = record(
     key=("i8", "name of the vehicle that has the slot, or had it last; never given twice"),
@@ -161,7 +162,7 @@ class PerceptionArrays(NamedTuple):
 def silence(sighting, time):  # type: ignore[no-untyped-def]
     """Clear a sighting: levels of inf; a time of -inf for messages, an age of inf for the sensor."""
     sighting.x_m = sighting.y_m = sighting.heading_rad = sighting.speed_mps = 0.0
-    sighting.acceleration_mps2, sighting.pl_at_m, sighting.pl_ct_m = 0.0, math.inf, math.inf
+    sighting.acceleration_mps2, sighting.lag_s, sighting.pl_at_m, sighting.pl_ct_m = 0.0, 0.0, math.inf, math.inf
     sighting.time_s = time
 
 
@@ -393,7 +394,7 @@ def sum_up(radio, tracks, slots, e, figures, time, b, square, seen):  # type: ig
         row.pl_at_m = source.pl_at_m + 0.5 * figures.along_mps2 * age * age
         growth = (0.5 * figures.across_mps2 * age + figures.course_sin * abs(source.speed_mps)) * age
         row.pl_ct_m = source.pl_ct_m + growth
-        row.age_s, row.relative, row.key = age, 1 if sensed else 0, slots[slot].key
+        row.age_s, row.relative, row.key = age + source.lag_s, 1 if sensed else 0, slots[slot].key
         row.length_m, row.width_m = slots[slot].length_m, slots[slot].width_m
         count += 1
     return count
