@@ -1,8 +1,10 @@
 """Levels of cooperative perception in the loop: how often the position of another vehicle is beyond them.
 
 Environments of all ids with traffic are driven with little thought, and at every decision the error of each tracked
-vehicle, relative to the ego, is compared with both of its levels. Groups: honest senders; a share of senders that lie;
-and many vans with links whose budget lets diffracted signals through, so that ranges are late.
+vehicle, relative to the ego, is compared with both of its levels. Left out are vehicles that break what levels assume:
+that have crashed, or whose course is elsewhere than its bound and 8 m/s^2 across permit. Groups: honest senders; a
+share of senders that lie; and many vans with links whose budget lets diffracted signals through, so that ranges are
+late.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ VANS: dict[str, Any] = {"cooperation": {"ranging": {"tall_share": 0.5, "range_m"
 GROUPS: dict[str, dict[str, Any]] = {"honest": {}, "lying": LIARS, "vans": VANS}
 SMALL: dict[str, Any] = {"cities": {"count": 2}, "slots": 16}
 FEWER: dict[str, dict[str, Any]] = {"Highway": {"world": {"vehicles_count": 14}}}
+COUNTS = "tracked", "outside", "along", "across", "beyond", "excluded", "honest excluded"
 SETTLED_STEPS = 2  # decisions after a start, before which ranges have just begun
 
 
@@ -67,7 +70,7 @@ def drive_named(config: RelativeLevelsConfig, name: str, advance: Advance = igno
     )
     given = {**SMALL, **FEWER.get(kind, {}), "sky": config.sky, "perception": perception}
     rng, count = np.random.default_rng(config.first_seed), config.environments
-    found: dict[str, Any] = dict.fromkeys(("tracked", "along", "across", "beyond", "excluded", "honest excluded"), 0)
+    found: dict[str, Any] = dict.fromkeys(COUNTS, 0)
     levels: list[NDArray[np.float64]] = []
     with closing(engines()[f"lanebound/{kind}-v0"](count, given)) as envs:
         envs.reset(seed=config.first_seed)
@@ -113,6 +116,14 @@ def _counted(episodes: Any, rows: NDArray[np.int64]) -> tuple[dict[str, int], ND
     slot = cars["slot"][e, v]
     track = p.tracks[e, slot]
     here = track["time_s"] == 0.0
+    here &= cars["crashed"][e, v] == 0
+    turn = track["heading_rad"] - cars["heading"][e, v]
+    turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
+    figures = p.of_tracks[0]
+    most = np.arcsin(figures["course_sin"])
+    most += figures["across_mps2"] * track["lag_s"] / np.maximum(np.abs(track["speed_mps"]), 1.0)
+    outside = here & (np.abs(turn) > most)
+    here &= ~outside
     e, v, track = e[here], v[here], track[here]
     x = track["x_m"] - belief["x_m"][e] - (cars["x"][e, v] - cars["x"][e, 0])
     y = track["y_m"] - belief["y_m"][e] - (cars["y"][e, v] - cars["y"][e, 0])
@@ -120,6 +131,7 @@ def _counted(episodes: Any, rows: NDArray[np.int64]) -> tuple[dict[str, int], ND
     along = np.abs(cos * x + sin * y) > track["pl_at_m"]
     across = np.abs(cos * y - sin * x) > track["pl_ct_m"]
     counts = {"tracked": int(here.sum()), "along": int(along.sum()), "across": int(across.sum())}
+    counts["outside"] = int(outside.sum())
     counts["beyond"] = int((along | across).sum())
     return counts, np.stack([track["pl_at_m"], track["pl_ct_m"]], axis=-1)
 
@@ -142,15 +154,15 @@ def run_relative_levels(
 
 def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
     """Counts and shares by id and group."""
-    heads = ("id", "group", "positions", "along", "across", "share beyond", "95 %", "PL along, median; 95 %",
-             "PL across", "excluded", "honest of these")  # fmt: skip
+    heads = ("id", "group", "positions", "left out", "along", "across", "share beyond", "95 %",
+             "PL along, median; 95 %", "PL across", "excluded", "honest of these")  # fmt: skip
     rows = []
     for name, part in result["parts"].items():
         n = max(part["tracked"], 1)
         low, high = clopper_pearson(part["beyond"], n)
         rows.append((
-            *name.split("-"), part["tracked"], part["along"], part["across"], f"{part['beyond'] / n:.1e}",
-            f"{low:.1e} to {high:.1e}", "{:.2f}; {:.2f}".format(*part["pl_at_m"]),
+            *name.split("-"), part["tracked"], part["outside"], part["along"], part["across"],
+            f"{part['beyond'] / n:.1e}", f"{low:.1e} to {high:.1e}", "{:.2f}; {:.2f}".format(*part["pl_at_m"]),
             "{:.2f}; {:.2f}".format(*part["pl_ct_m"]), part["excluded"], part["honest excluded"],
         ))  # fmt: skip
     yield f"Positions relative to the ego beyond their levels, at a risk of {result['risk']:g}", (heads, rows)

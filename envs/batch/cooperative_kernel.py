@@ -157,8 +157,12 @@ def _change(rel, k, change, pair, turn_own, turn):  # type: ignore[no-untyped-de
 
 
 @jit(borrows=True)
-def _claim(rel, said, f, tracking, time, b):  # type: ignore[no-untyped-def]
-    """What the newest message says now: motion, and the position from the ego with the covariance of both levels."""
+def _claim(rel, said, f, tracking, time, b, t):  # type: ignore[no-untyped-def]
+    """What the newest message says now: motion, and the position from the ego with the covariance of both levels.
+
+    The ego's position is its solution as it is: without the error of its map, and without what a jump has left to be
+    taken over, which the level of the belief has on top.
+    """
     rel.claims = 0
     age = time - said.time_s
     if not age <= tracking.drop_after_s + ROUNDING:
@@ -166,18 +170,18 @@ def _claim(rel, said, f, tracking, time, b):  # type: ignore[no-untyped-def]
     rel.heading_rad, rel.speed_mps, rel.heard_s = said.heading_rad, said.speed_mps, said.time_s
     cos, sin = math.cos(said.heading_rad), math.sin(said.heading_rad)
     driven = said.speed_mps * age + 0.5 * said.acceleration_mps2 * age * age
-    rel.claimed_x_m, rel.claimed_y_m = said.x_m + driven * cos - b.x_m, said.y_m + driven * sin - b.y_m
-    at = (said.pl_at_m + 0.5 * tracking.along_mps2 * age * age) / f.level_sigmas
-    growth = (0.5 * tracking.across_mps2 * age + tracking.course_sin * abs(said.speed_mps)) * age
-    ct, own_at, own_ct = (
-        (said.pl_ct_m + growth) / f.level_sigmas,
-        b.pl_at_m / f.level_sigmas,
-        b.pl_ct_m / f.level_sigmas,
-    )
+    rel.claimed_x_m = said.x_m + driven * cos - (b.fix_x_m - t.residual_x_m - t.map_x_m)
+    rel.claimed_y_m = said.y_m + driven * sin - (b.fix_y_m - t.residual_y_m - t.map_y_m)
+    growth_at = 0.5 * tracking.along_mps2 * age * age / f.sigmas  # bounds, whatever the risk
+    growth_ct = (0.5 * tracking.across_mps2 * age + tracking.course_sin * abs(said.speed_mps)) * age / f.sigmas
+    at, ct = said.pl_at_m / f.level_sigmas + growth_at, said.pl_ct_m / f.level_sigmas + growth_ct
+    own_cos, own_sin = math.cos(b.heading_rad), math.sin(b.heading_rad)
+    left_at = abs(own_cos * t.residual_x_m + own_sin * t.residual_y_m)
+    left_ct = abs(own_cos * t.residual_y_m - own_sin * t.residual_x_m)
+    own_at, own_ct = (b.pl_at_m - left_at) / f.level_sigmas, (b.pl_ct_m - left_ct) / f.level_sigmas
     if not at + ct + own_at + own_ct < math.inf:
         rel.claims = 2
         return
-    own_cos, own_sin = math.cos(b.heading_rad), math.sin(b.heading_rad)
     rel.claimed_xx = (at * cos) ** 2 + (ct * sin) ** 2 + (own_at * own_cos) ** 2 + (own_ct * own_sin) ** 2
     rel.claimed_yy = (at * sin) ** 2 + (ct * cos) ** 2 + (own_at * own_sin) ** 2 + (own_ct * own_cos) ** 2
     rel.claimed_xy = (at * at - ct * ct) * cos * sin + (own_at * own_at - own_ct * own_ct) * own_cos * own_sin
@@ -552,16 +556,16 @@ def _show(rel, r, f, track, time, b):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def relate(picture, relations, held, tracks, ranges, r, f, tracking, time, b):  # type: ignore[no-untyped-def]
+def relate(picture, relations, held, tracks, ranges, r, f, tracking, time, b, t):  # type: ignore[no-untyped-def]
     """One epoch of an ego: follow the vehicles of C slots by ranges, test what they broadcast, and fill their tracks.
 
     relations (C,) RELATION; held (C,) SIGHTING of the radio, of which those of excluded senders are cleared; tracks
-    (C + 1,) SIGHTING; ranges (C, PAIRS); r: RANGING; f: COOPERATION; tracking: TRACKING; b: BELIEF.
+    (C + 1,) SIGHTING; ranges (C, PAIRS); r: RANGING; f: COOPERATION; tracking: TRACKING; b: BELIEF; t: TRACK.
     """
     dt, compared, against = r.epoch_s, 0, 0
     for i in range(relations.shape[0]):
         rel = relations[i]
-        _claim(rel, held[i], f, tracking, time, b)
+        _claim(rel, held[i], f, tracking, time, b, t)
         _follow(rel, r, f, ranges[i], tracking, time, b, dt)
         kind = _compare(rel, r, f, dt)
         if rel.reason == 0 and kind != 0:

@@ -213,7 +213,7 @@ def relate_rows(first, last, rows, egos, pictures, time):  # type: ignore[no-unt
         if time[n] >= -EPS_S:
             relate(
                 p.picture[e], g.relations[e], p.radio.held[e], p.tracks[e], g.ranges[e], g.of_ranges[0],
-                g.of_relations[0], p.of_tracks[0], time[n], egos[e].belief,
+                g.of_relations[0], p.of_tracks[0], time[n], egos[e].belief, egos[e].track,
             )  # fmt: skip
 
 

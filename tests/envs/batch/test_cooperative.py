@@ -56,6 +56,7 @@ class Fleets:
         x, y = cars["x"] + self.error[..., 0], cars["y"] + self.error[..., 1]
         belief, fixes = self.egos["belief"], self.fixes.reshape(n, v)
         belief["x_m"], belief["y_m"], belief["speed_mps"] = x[:, 0], y[:, 0], cars["speed"][:, 0]
+        belief["fix_x_m"], belief["fix_y_m"] = x[:, 0], y[:, 0]
         belief["pl_at_m"] = belief["pl_ct_m"] = self.level_m
         fixes["position_en_m"] = np.stack([x, -y], axis=-1)
         fixes["velocity_en_mps"][..., 0], fixes["speed_mps"], fixes["mode"] = cars["speed"], cars["speed"], 1
