@@ -53,7 +53,6 @@ COOPERATION = record(
     own_heading_rad="error of the ego's heading, 1 sigma",
     heading_rad="error of another's heading, 1 sigma",
     hidden_m="excess of a later path that is not found",
-    bodies_m="bound of the delay by bodies, inf where there are buildings",
 )
 RELATION = record(
     known=("i8", "1 while ranges give a position"),
@@ -106,7 +105,7 @@ def _late_m(r, f, distance, pairs):  # type: ignore[no-untyped-def]
     """Bound of what ``pairs`` ranges are late by together: diffraction, and later paths at the integrity risk."""
     if r.shadow_db > 0.0:  # losses lengthen them up to the margin
         return max(distance * ((r.range_m / max(distance, 1.0)) ** (2.0 / r.path) - 1.0), 0.0)
-    late = min(most_excess(r, distance), f.bodies_m)
+    late = most_excess(r, distance)
     if r.late_share > 0.0:
         late += r.late_mean_m * max(f.log_risk / max(pairs, 1) + math.log(r.late_share), 0.0)
     return late
@@ -455,7 +454,7 @@ def _patience_s(r, f, pairs):  # type: ignore[no-untyped-def]
 @jit(borrows=True)
 def _below_gate_m(rel, r, f):  # type: ignore[no-untyped-def]
     """Excess of a pair that is not found: below the gate, or by diffraction, by which pairs are late differently."""
-    return max(f.hidden_m, min(most_excess(r, math.hypot(rel.x_m, rel.y_m)), f.bodies_m))
+    return max(f.hidden_m, most_excess(r, math.hypot(rel.x_m, rel.y_m)))
 
 
 @jit(borrows=True)

@@ -30,7 +30,6 @@ Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 GIVEN = ("truth", "none")
 UNIFORM = ("v2v", "paths")
-LEAST_CLEARANCE_M = 1.0  # between a module in the middle of a car and another body: half the car's width
 FAR_M = 1000.0  # beyond the roads of a crossing and any sensor
 PERCEIVE_US = 6.0  # of one thread for an environment, measured
 
@@ -282,10 +281,8 @@ def _sigmas(risk: float) -> float:
 
 
 def _cooperation(config: PerceptionConfig, level_risk: float) -> Records:
-    """(1,) COOPERATION. A delay by a body is at most that of the way over a van close to both cars."""
+    """(1,) COOPERATION."""
     c, r = config.cooperation, config.cooperation.ranging
-    rise = max(r.tall_height_m, r.body_height_m) - r.height_m
-    over = 2.0 * (math.hypot(LEAST_CLEARANCE_M, max(rise, 0.0)) - LEAST_CLEARANCE_M)
     figures, sigmas = r.figures(0.1)[0], _sigmas(c.integrity_risk)
     module, hidden = float(figures["module_sigma_m"]), 0.0
     if figures["late_share"] > 0.0:  # below the gate; along and across predictions are as uncertain as ranges
@@ -296,7 +293,6 @@ def _cooperation(config: PerceptionConfig, level_risk: float) -> Records:
         log_risk=-math.log(c.integrity_risk), window_s=c.window_s,
         own_heading_rad=math.radians(c.own_heading_sigma_deg), heading_rad=math.radians(c.heading_sigma_deg),
         hidden_m=hidden,
-        bodies_m=over if config.sensor.corner_m is None else math.inf,
     )  # fmt: skip
 
 
