@@ -75,7 +75,7 @@ RELATION = record(
     claims=("i8", "1 where there is one, with levels; 2 without levels"),
     silent_s="since the last range",
     begun_s="since the position has begun",
-    astray_s="for which less than half of the ranges fit the prediction",
+    astray_s="for which less than half of the ranges fit the prediction, less the time for which more do",
     against_s="for which both positions disagree",
     against=("i8", "1 where they do now, and late ranges do not explain it"),
     doubt=("i8", "1 where they do now"),
@@ -433,8 +433,8 @@ def _follow(rel, r, f, ranges, tracking, time, b, dt):  # type: ignore[no-untype
         _begin_anew(rel, r, f, ranges, x, y, cos, sin)
         return
     short = _update(rel, r, f, ranges, cos, sin)
-    rel.astray_s = 0.0 if 2 * rel.used >= count else rel.astray_s + dt
-    if short or rel.astray_s >= _patience_s(r, f, count):
+    rel.astray_s = max(rel.astray_s - dt, 0.0) if 2 * rel.used >= count else rel.astray_s + dt
+    if short or rel.astray_s > f.window_s:
         _begin_anew(rel, r, f, ranges, x, y, cos, sin)
     elif r.modules == 2 and _refute_side(rel, r, f, tracking, cos, sin, xx, xy, yy) and rel.reason != 0:
         x, y = _mirrored(r, rel.x_m, rel.y_m, cos, sin)
@@ -474,7 +474,9 @@ def _compare(rel, r, f, dt):  # type: ignore[no-untyped-def]
     if radial > 0.0:  # what delays explain
         late = min(radial, _late_m(r, f, size, rel.used))
         dx, dy, radial = dx - late * ux, dy - late * uy, radial - late
-    rel.against = 1 if (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / det > f.ellipse else 0
+    rel.against = (
+        1 if (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / det > f.ellipse and rel.astray_s <= 0.0 else 0
+    )
     rel.against_s = rel.against_s + dt if rel.against != 0 else 0.0
     if radial * radial > f.ellipse * _along(ux, uy, xx, xy, yy):
         return SHORT if radial < 0.0 else LONG
