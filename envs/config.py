@@ -198,7 +198,7 @@ class EnvConfig(Config):
                 f"policy_hz must divide simulation_hz = {self.simulation_hz}, got {self.policy_hz}: choose a divisor"
             )
         ratio = self.simulation_hz / self.navigation.rate_hz
-        sensed = self.navigation.source.uses_sensors or self.perception.source in ("v2v", "both")
+        sensed = self.navigation.source.uses_sensors or self.perception.has_radio
         if sensed and abs(ratio - round(ratio)) > 1e-9:
             raise ConfigError(
                 f"navigation.rate_hz must divide simulation_hz = {self.simulation_hz}, "
@@ -289,12 +289,14 @@ class EnvConfig(Config):
 
     @model_validator(mode="after")
     def _corners_hide(self) -> Self:
-        # Buildings stand at a crossing, and are seen by the sensor alone.
+        # Buildings stand at a crossing, and matter to sensor and ranges alone.
         corner, source = self.perception.sensor.corner_m, self.perception.source
-        if corner is not None and (not self.base.startswith("intersection-") or source not in ("sensor", "both")):
+        if corner is not None and (
+            not self.base.startswith("intersection-") or source not in ("sensor", "both", "cooperative")
+        ):
             raise ConfigError(
                 f"perception.sensor.corner_m must be left out in {self.base} with perception.source {source!r}, got "
-                f"{corner:g}: choose an intersection, and source sensor or both"
+                f"{corner:g}: choose an intersection, and source sensor, both or cooperative"
             )
         return self
 

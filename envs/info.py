@@ -19,7 +19,16 @@ if TYPE_CHECKING:
     from lanebound.envs.config import EnvConfig
     from lanebound.envs.observation import Observed
 
-__all__ = ["FAULT_INFO", "INFO", "InfoEntry", "info_entries", "own_info", "register_info", "withdraw_info"]
+__all__ = [
+    "EXCLUSION_INFO",
+    "FAULT_INFO",
+    "INFO",
+    "InfoEntry",
+    "info_entries",
+    "own_info",
+    "register_info",
+    "withdraw_info",
+]
 
 INFO: dict[str, str] = {
     "cost": "weighted sum of the costs of this step",
@@ -78,6 +87,12 @@ FAULT_INFO: dict[str, str] = {
 }
 """Entries under ``faults: one``, the same in all steps of an episode."""
 
+EXCLUSION_INFO: dict[str, str] = {
+    "senders_excluded": "others whose broadcasts are excluded now, as ranges contradict them",
+    "exclusion_reason": "of the last one: 1 nearer than it claims, 2 farther, 3 in another direction; 0 for none",
+}
+"""Entries under ``perception.source: cooperative``."""
+
 
 @dataclass(frozen=True)
 class InfoEntry:
@@ -103,9 +118,13 @@ def info_entries() -> tuple[InfoEntry, ...]:
 
 
 def own_info(config: EnvConfig) -> dict[str, str]:
-    """Names and meanings of the entries that not all environments have: of one fault, and those that are registered."""
+    """Names and meanings of the entries that not all environments have.
+
+    They are of one fault, of excluded senders, and those that are registered.
+    """
     of_fault = FAULT_INFO if config.faults.value == "one" else {}
-    return of_fault | {entry.name: entry.meaning for entry in _registered}
+    of_senders = EXCLUSION_INFO if config.perception.source == "cooperative" else {}
+    return of_fault | of_senders | {entry.name: entry.meaning for entry in _registered}
 
 
 def register_info(entry: InfoEntry) -> None:
@@ -116,7 +135,9 @@ def register_info(entry: InfoEntry) -> None:
     InputError
         The name is taken or no identifier, or the source is no function.
     """
-    require_new("an entry of info", entry.name, {*INFO, *FAULT_INFO, *(other.name for other in _registered)})
+    require_new(
+        "an entry of info", entry.name, {*INFO, *FAULT_INFO, *EXCLUSION_INFO, *(other.name for other in _registered)}
+    )
     if not callable(entry.source):
         raise InputError(f"source of info.{entry.name} must be a function of Observed, got {entry.source!r}: give one")
     _registered.append(entry)

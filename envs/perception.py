@@ -10,11 +10,13 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from lanebound.envs.batch.perception_kernel import CAM_MOST_S
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.sensors.uwb import RangingConfig
 from lanebound.integrity.sensors.v2v import V2vConfig
 
-__all__ = ["PerceptionConfig", "SensorConfig"]
+__all__ = ["CooperationConfig", "PerceptionConfig", "SensorConfig"]
 
 
 class SensorConfig(Config):
@@ -54,11 +56,32 @@ class SensorConfig(Config):
         return -NormalDist().inv_cdf(self.integrity_risk / 4.0)
 
 
+class CooperationConfig(Config):
+    """Ranges to the others, and the test of what they broadcast."""
+
+    ranging: RangingConfig = Field(RangingConfig(), description="modules and their errors")
+    integrity_risk: float = Field(
+        1e-5, gt=0, lt=1, description="risk of its bounds, half along, half across [-]; as the navigator's"
+    )
+    false_alarm: float = Field(
+        1e-6, gt=0, lt=1, description="probability that a test refuses an honest message or a range in free sight [-]"
+    )
+    window_s: float = Field(
+        0.5, ge=0, description="time for which broadcasts must contradict the ranges [s]; as long as later paths"
+    )
+    own_heading_sigma_deg: float = Field(0.5, ge=0, description="error of the ego's heading, 1 sigma [deg]; chosen")
+    heading_sigma_deg: float = Field(
+        2.0, ge=0, description="error of another's heading by its course, 1 sigma [deg]; side slip in turns; chosen"
+    )
+
+
 class PerceptionConfig(Config):
     """Sources of perceived traffic, and how long their measurements are used."""
 
-    source: Literal["v2v", "sensor", "both", "none", "truth"] = Field(
-        "v2v", description="source of the traffic; truth: every vehicle as it is, at no age"
+    source: Literal["v2v", "sensor", "both", "cooperative", "none", "truth"] = Field(
+        "v2v",
+        description="source of the traffic; cooperative: broadcasts that are tested by ranges; truth: every vehicle as "
+        "it is, at no age",
     )
     others: Literal["full", "surrogate"] = Field(
         "full",
@@ -67,6 +90,9 @@ class PerceptionConfig(Config):
     )
     v2v: V2vConfig = Field(default_factory=V2vConfig, description="the radio channel")
     sensor: SensorConfig = Field(default_factory=SensorConfig, description="the ego's own sensor")
+    cooperation: CooperationConfig = Field(
+        default_factory=CooperationConfig, description="ranges to the others, for source cooperative"
+    )
     wrong_share: float = Field(
         0.0, ge=0, le=1, description="share of the others whose broadcasts are displaced in the whole episode [-]"
     )
@@ -99,14 +125,30 @@ class PerceptionConfig(Config):
         if self.wrong_share and not self.others_navigate:
             raise ConfigError(
                 f"wrong_share must be 0 without broadcasts of receivers, got {self.wrong_share:g} with source "
-                f"'{self.source}' and others '{self.others}': set source to v2v or both, and others to full"
+                f"'{self.source}' and others '{self.others}': set source to v2v, both or cooperative, others to full"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _messages_are_used(self) -> Self:
+        # A car at rest sends one CAM in a second: it would be lost before the next one.
+        least = CAM_MOST_S + self.v2v.latency_s
+        if self.v2v.messages == "cam" and self.drop_after_s < least:
+            raise ConfigError(
+                f"drop_after_s must be at least {least:g}, the age of the newest message of a car at rest, with "
+                f"v2v.messages 'cam', got {self.drop_after_s:g}: raise it, for example to {least + 0.45:g}"
             )
         return self
 
     @property
     def has_radio(self) -> bool:
         """Whether the ego hears the others."""
-        return self.source in ("v2v", "both")
+        return self.source in ("v2v", "both", "cooperative")
+
+    @property
+    def has_sensor(self) -> bool:
+        """Whether the ego sees the others."""
+        return self.source in ("sensor", "both")
 
     @property
     def others_navigate(self) -> bool:

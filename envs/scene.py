@@ -248,6 +248,7 @@ def _episodes(
         vehicles,
         step_s * steps,
         recordings_of(config) if recorded else None,
+        settings.risk.integrity_risk,
     )
     rules = rules_of(config, alert_limits_m(world, config), map_bound_m(config, settings) if uses_sensors else 0.0)
     return Episodes(config, rules, routes, empty_cars(count * views, vehicles), navigation, perception)
@@ -356,7 +357,7 @@ def _require_effect(
         if fault.kind == "v2v_lie" and (crew == 1 or fault.vehicle == 0):
             raise InputError(
                 f"{name}.kind must not be v2v_lie where no other vehicle lies, got it for vehicle {fault.vehicle}: "
-                "name another; perception.source must be v2v or both, and perception.others full"
+                "name another; perception.source must be v2v, both or cooperative, and perception.others full"
             )
         # Under full a fault of all vehicles acts in the others as well, whose surrogates have no receivers.
         if alone and fault.vehicle != 0:

@@ -291,6 +291,25 @@ def journeys(
     show(result, shown(result), as_json, f"results.json and ppo.zip: {out}")
 
 
+@app.command("relative-levels")
+def relative_levels(
+    out: Annotated[Path, typer.Option(help="Folder for results.json; a run is resumed there.")],
+    decisions: Annotated[int | None, typer.Option(min=1, help="Of each environment; the study has 200.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """How often positions of other vehicles by cooperative perception are beyond their levels, in all ids with traffic.
+
+    Example: lanebound assess relative-levels --out out/relative --decisions 50
+    """
+    from lanebound.agents.studies.relative_levels import RelativeLevelsConfig, run_relative_levels, shown
+
+    config = RelativeLevelsConfig.load(changes(assignments, decisions=decisions))
+    result = carry_out(out, "part", lambda report: run_relative_levels(config, out, jobs, report))
+    show(result, shown(result), as_json, f"results.json: {out}")
+
+
 @app.command("monitors")
 def assess_monitors(
     out: Annotated[Path, typer.Option(help="Folder for results.json and report.html; a run is resumed there.")],

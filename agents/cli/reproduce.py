@@ -75,8 +75,14 @@ def filters(
 def barrier_promise(
     out: Annotated[Path, typer.Option(help="Folder for promise.json; a run is resumed there.")],
     episodes: Annotated[int | None, typer.Option(min=1, help="Of each group; the study has 1,000.")] = None,
-    source: Annotated[str, typer.Option(help="Source of the leader's state: v2v (radio), sensor, or both.")] = "v2v",
+    source: Annotated[
+        str, typer.Option(help="Source of the leader's state: v2v (radio), sensor, both, or cooperative (with ranges).")
+    ] = "v2v",
+    kind: Annotated[
+        str | None, typer.Option(help="Only episodes whose fault is of this kind, such as v2v_lie.")
+    ] = None,
     jobs: Jobs = 1,
+    assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
     """The barrier filter under reckless drivers: is its barrier ever negative, without faults and with them?
@@ -85,7 +91,7 @@ def barrier_promise(
     """
     from lanebound.agents.studies.barrier_promise import BarrierPromiseConfig, run_promise, shown
 
-    config = BarrierPromiseConfig.load(changes(None, episodes=episodes, source=source))
+    config = BarrierPromiseConfig.load(changes(assignments, episodes=episodes, source=source, kind=kind))
     found = carry_out(out, "part", lambda report: run_promise(config, out, jobs, report), "episodes")
     show(found, shown(found), as_json, f"promise.json: {out}")
 
@@ -198,6 +204,22 @@ def prediction(
     config = PredictionConfig.load(changes(assignments, streets=streets))
     result = carry_out(out, "part", lambda report: run_prediction(config, out, jobs, report, berlin))
     show(result, shown(result), as_json, f"results.json and figures: {out}")
+
+
+@app.command("ranging")
+def ranging(
+    data: Annotated[Path, typer.Option(metavar="DIR", help="Folder with Indoor_UWB_Input.txt and Indoor_UWB_GT.txt.")],
+    out: Annotated[Path, typer.Option(help="Folder for ranging.json.")],
+    as_json: AsJson = False,
+) -> None:
+    """Our law of UWB ranges against recorded ones: noise, late ranges, and how its bounds hold.
+
+    Example: lanebound reproduce ranging --data data/uwb_indoor --out out/ranging
+    """
+    from lanebound.agents.studies.ranging import run_ranging, shown
+
+    result = run_ranging(data, out)
+    show(result, shown(result), as_json, f"ranging.json: {out}")
 
 
 @app.command("availability")

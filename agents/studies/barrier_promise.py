@@ -222,6 +222,7 @@ FAULTS = (
 )
 """Kinds with their smallest and largest sizes; those of sensors/fault_priors_stress have the sizes that it has."""
 SYSTEMS = (System.GPS, System.GALILEO)
+LIE_M = 2.0  # from which on a lie misleads
 PRNS = 24  # of either system, numbers from 1 on; who is below the horizon harms nobody
 
 
@@ -233,12 +234,19 @@ class BarrierPromiseConfig(Config):
     length_s: float = Field(25.0, gt=1, le=600, description="of an episode")
     batch: int = Field(20, ge=1, description="episodes in a part, which is kept once it is done")
     skies: tuple[str, ...] = Field(("open", "suburban", "urban", "dense"), description="taken in turn")
-    source: Literal["v2v", "sensor", "both"] = Field("v2v", description="what tells the ego of its leader")
+    source: Literal["v2v", "sensor", "both", "cooperative"] = Field(
+        "v2v", description="what tells the ego of its leader"
+    )
+    kind: str | None = Field(None, description="of the fault: only the episodes that have one of it; None: all")
     barrier: BarrierConfig = Field(BarrierConfig(), description="of the filter")
 
     def one_fault(self, seed: int) -> Fault:
         """The fault of an episode; others lie only where they are heard."""
         return one_fault(seed, self.length_s, self.source != "sensor")
+
+    def drives(self, seed: int) -> bool:
+        """Whether an episode is driven."""
+        return self.kind is None or self.one_fault(seed).kind == self.kind
 
 
 class Reckless:
@@ -307,9 +315,10 @@ def drive_part(
 ) -> dict[str, Any]:
     """Drive some seeds under the sky that each has; plain figures of all of them."""
     total: dict[str, Any] = {"episodes": 0, "crashes": 0, "least_m": math.inf, "breaches": [], "crashed": []}
+    total["excluded"] = []
     counts: dict[str, Counter[str]] = {"counts": Counter(), "exceptions": Counter(), "filter": Counter()}
     for sky in dict.fromkeys(config.skies):
-        mine = [seed for seed in seeds if config.skies[seed % len(config.skies)] == sky]
+        mine = [seed for seed in seeds if config.skies[seed % len(config.skies)] == sky and config.drives(seed)]
         if not mine:
             continue
         seen = {"perception": {"source": config.source}}
@@ -326,6 +335,8 @@ def drive_part(
             if env.world.vehicle.crashed:
                 total["crashes"] += 1
                 total["crashed"].append(seed)
+            if env.belief_loop is not None and env.belief_loop.info.get("senders_excluded", 0.0) > 0.0:
+                total["excluded"].append(seed)
             counts["counts"].update(watch.counts)
             counts["exceptions"].update(watch.exceptions)
             counts["counts"]["episodes with exceptions"] += bool(watch.counts["exceptional"])
@@ -354,18 +365,27 @@ def run_promise(
     found = parts_of(config, drive_named, ordered, out, jobs, on_progress, size=lambda name: len(_seeds(name)))
     result = {group: summarise_promise([found[name] for name in names[group]]) for group in GROUPS}
     result["one fault"]["by_fault"] = _by_fault(config, result["one fault"]["crashed_seeds"])
+    result["one fault"]["liars"] = _liars(config, result["one fault"]["excluded_seeds"])
     return stored(result, out, "promise.json")
 
 
 def _by_fault(config: BarrierPromiseConfig, crashed: Sequence[int]) -> dict[str, dict[str, Any]]:
     """Episodes and crashes by the kind of the fault that each seed has."""
     seeds = range(config.first_seed, config.first_seed + config.episodes)
-    of = {seed: config.one_fault(seed).kind for seed in seeds}
+    of = {seed: config.one_fault(seed).kind for seed in seeds if config.drives(seed)}
     episodes, crashes = Counter(of.values()), Counter(of[seed] for seed in crashed)
     return {
         kind: {"episodes": count, "crashes": crashes[kind], "crash_share_95": clopper_pearson(crashes[kind], count)}
         for kind, count in sorted(episodes.items())
     }
+
+
+def _liars(config: BarrierPromiseConfig, excluded: Sequence[int]) -> dict[str, int]:
+    """Leaders that broadcast positions wrong by 2 m and more, and how many of them are excluded."""
+    seeds = filter(config.drives, range(config.first_seed, config.first_seed + config.episodes))
+    faults = {seed: config.one_fault(seed) for seed in seeds}
+    lying = [seed for seed, fault in faults.items() if fault.kind == "v2v_lie" and fault.magnitude_m >= LIE_M]
+    return {"lying": len(lying), "excluded": len({*lying} & {*excluded})}
 
 
 def _name(group: str, seeds: Sequence[int]) -> str:
@@ -401,9 +421,10 @@ def summarise_promise(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "crashes": crashes,
         "crash_share_95": clopper_pearson(crashes, episodes),
         "crashed_seeds": [seed for part in parts for seed in part["crashed"]],
+        "excluded_seeds": [seed for part in parts for seed in part["excluded"]],
         "least_barrier_m": min((part["least_m"] for part in parts if part["least_m"] is not None), default=None),
         "hours": hours,
-        "integrity_risk": parts[0]["risk"],
+        "integrity_risk": next((part["risk"] for part in parts if "risk" in part), math.nan),
         "level_exceeded_per_decision": exceptions["own level"] / decisions,
         "barrier_lost_per_decision": lost / decisions,
         "barrier_lost_per_hour": lost / hours,
@@ -438,6 +459,9 @@ def shown(result: Mapping[str, Any]) -> Iterator[Shown]:
         for kind, of in result["one fault"]["by_fault"].items()
     ]
     yield "Crashes by the fault that was injected", (("fault", "episodes", "crashes", "share, 95 %"), crashes)
+    liars, honest = result["one fault"]["liars"], result["none"]
+    yield f"Leaders excluded of {liars['lying']} that lie by {LIE_M:g} m and more: {liars['excluded']}"
+    yield f"Leaders excluded in {honest['episodes']} episodes without a fault: {len(honest['excluded_seeds'])}"
     yield "broken: the barrier went negative by a decision for which every assumption held; none may be."
 
 

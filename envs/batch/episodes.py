@@ -28,7 +28,7 @@ from lanebound.envs.batch.perception import PerceptionBatch, perceives
 from lanebound.envs.batch.records_kernel import CAR, EGO
 from lanebound.envs.batch.route_map import Reach, Routes
 from lanebound.envs.config import EnvConfig
-from lanebound.envs.info import info_entries, own_info
+from lanebound.envs.info import EXCLUSION_INFO, info_entries, own_info
 from lanebound.envs.observation.index import Observed, Source, entries, sources_of
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError
@@ -246,6 +246,9 @@ class Episodes:
             self.table.lanes, self.routes.map, self.rules, self.views, ahead, self._sources, self.frame, start,
             row_us=CONCLUDE_US,
         )  # fmt: skip
+        if self.perception.has_ranges:
+            for name, field in zip(EXCLUSION_INFO, ("excluded", "reason"), strict=True):
+                self.own_info[name][rows] = p.picture[field][rows]
         if self._extra or self._info_entries:
             self._fill_extra(rows)
 

@@ -18,13 +18,19 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.sensors.uwb_kernel import crosses_body, crosses_wall
 
-__all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "PerceptionArrays", "Radio",
-           "behind_wall", "claim", "forget_slot", "hear", "in_sight", "look", "see_truth", "silence",
-           "sum_up"]  # fmt: skip
+__all__ = ["CAM", "CAM_MOST_S", "CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING",
+           "PerceptionArrays", "Radio", "Ranging", "behind_wall", "claim", "forget_slot", "hear", "in_sight", "look",
+           "see_truth", "silence", "sum_up"]  # fmt: skip
 
 ROUNDING = 1e-9
 COURSE_FROM_MPS = 2.0  # below, Doppler noise turns the course by degrees
+CAM_LEAST_S, CAM_MOST_S, CAM_SLOW = 0.1, 1.0, 3  # ETSI EN 302 637-2 V1.4.1, 6.1.3: T_GenCam and N_GenCam
+CAM_M, CAM_RAD, CAM_MPS = 4.0, math.radians(4.0), 0.5  # there: changes after which a message is sent
+STEP_M, STEP_RAD, STEP_MPS, STEP_MPS2 = 0.0111, math.radians(0.1), 0.01, 0.1  # ETSI TS 102 894-2: 0.1 microdegrees, ...
+ELLIPSE_STEP_M, ELLIPSE_MOST_M, MOST_MPS2 = 0.01, 40.93, 16.0  # there: axes of the ellipse, acceleration
+ELLIPSE_SIGMAS = math.sqrt(-2.0 * math.log(0.05))  # half axes of 95 % in the plane, over standard deviations
 
 CLAIM = record(
     x_m="believed position",
@@ -43,6 +49,8 @@ SIGHTING = record(
     pl_at_m="bound along the heading",
     pl_ct_m="bound across the heading",
     time_s="of the measurement; its age in what the sensor holds",
+    acceleration_mps2="along the heading then, as a CAM says; else 0",
+    lag_s="by which the speed is older than the position",
 )
 SLOT = record(
     key=("i8", "name of the vehicle that has the slot, or had it last; never given twice"),
@@ -57,6 +65,17 @@ RADIO = record(
     range_m="nothing is heard beyond",
     rate_hz="messages of a vehicle in a second",
     epoch_s="length of an epoch",
+    cam=("i8", "1 where CAM are sent, when ETSI EN 302 637-2 asks for one, in the place of the rate"),
+    level_sigmas="standard deviations in a level",
+)
+CAM = record(
+    x_m="position in the last message",
+    y_m="position in the last message",
+    heading_rad="in the last message",
+    speed_mps="in the last message",
+    time_s="of the last message, -inf before the first",
+    gap_s="time after which the next one is sent at the latest",
+    slow=("i8", "messages since the last one by a change"),
 )
 SENSOR = record(
     range_m="farthest vehicle seen",
@@ -82,6 +101,8 @@ PICTURE = record(
     last_x_m="where the sensor looked from last",
     last_y_m="where the sensor looked from last",
     bias_m="error of the sensor across the ego, to the right, of this episode",
+    excluded=("i8", "senders that ranges exclude now"),
+    reason=("i8", "why the last of these was excluded, see cooperative_kernel"),
 )
 
 
@@ -90,13 +111,29 @@ class Radio(NamedTuple):
 
     broadcasts (N, L, C) SIGHTING: messages of the last L epochs; arriving (N, L, C): epoch of origin of the message
     that arrives in a coming epoch, -1 for none; origin (N, C): epoch of origin of the message held, -1 for none; held
-    (N, C) SIGHTING: for none, levels of inf and a time of -inf.
+    (N, C) SIGHTING: for none, levels of inf and a time of -inf; cams (N, C) CAM.
     """
 
     broadcasts: Records
     arriving: NDArray[np.int64]
     origin: NDArray[np.int64]
     held: Records
+    cams: Records
+
+
+class Ranging(NamedTuple):
+    """Ranges between N egos and C slots, of none without cooperative perception; types in the kernels of both.
+
+    modules (N, C + 1) MODULE; links (N, C, PAIRS) LINK; ranges (N, C, PAIRS); relations (N, C) RELATION; of_ranges (1,)
+    RANGING and of_relations (1,) COOPERATION: figures.
+    """
+
+    modules: Records
+    links: Records
+    ranges: NDArray[np.float64]
+    relations: Records
+    of_ranges: Records
+    of_relations: Records
 
 
 class PerceptionArrays(NamedTuple):
@@ -105,7 +142,7 @@ class PerceptionArrays(NamedTuple):
     picture (N,) PICTURE; perceived (N, P) PERCEIVED, nearest first; tracks (N, C + 1) SIGHTING of the sensor; slots
     (N, C + 1) SLOT; spoken (N, C) CLAIM and radio: of C slots, of none where the ego has no radio; of_radio (1,) RADIO,
     of_sensor (1,) SENSOR, of_tracks (1,) TRACKING: figures; walls (W, 4): least and largest x, least and largest y of
-    buildings that hide vehicles from the sensors [m].
+    buildings that hide vehicles from the sensors [m]; ranging: of cooperative perception.
     """
 
     picture: Records
@@ -118,13 +155,14 @@ class PerceptionArrays(NamedTuple):
     of_sensor: Records
     of_tracks: Records
     walls: NDArray[np.float64]
+    ranging: Ranging
 
 
 @jit(borrows=True)
 def silence(sighting, time):  # type: ignore[no-untyped-def]
     """Clear a sighting: levels of inf; a time of -inf for messages, an age of inf for the sensor."""
     sighting.x_m = sighting.y_m = sighting.heading_rad = sighting.speed_mps = 0.0
-    sighting.pl_at_m = sighting.pl_ct_m = math.inf
+    sighting.acceleration_mps2, sighting.lag_s, sighting.pl_at_m, sighting.pl_ct_m = 0.0, 0.0, math.inf, math.inf
     sighting.time_s = time
 
 
@@ -135,6 +173,7 @@ def forget_slot(radio, tracks, e, slot):  # type: ignore[no-untyped-def]
         radio.arriving[e, :, slot] = -1
         radio.origin[e, slot] = -1
         silence(radio.held[e, slot], -math.inf)
+        radio.cams[e, slot].time_s, radio.cams[e, slot].gap_s = -math.inf, CAM_MOST_S
     silence(tracks[e, slot], math.inf)
 
 
@@ -147,6 +186,58 @@ def claim(fix, c):  # type: ignore[no-untyped-def]
     c.heading_rad, c.speed_mps = azimuth - 0.5 * math.pi, fix.speed_mps
     c.pl_at_m, c.pl_ct_m = fix.pl_at_m, fix.pl_ct_m
     c.sends = 1 if fix.mode != 0 else 0
+
+
+@jit(inline=True)
+def _rounded(value, step):  # type: ignore[no-untyped-def]
+    """The nearest multiple of a step."""
+    return step * math.floor(value / step + 0.5)
+
+
+@jit(borrows=True)
+def _encode(said, before, figures, fresh):  # type: ignore[no-untyped-def]
+    """Put a message into the fields of a CAM: rounded, with the acceleration since the one ``before``, 0 for the first.
+
+    Levels are sent as the ellipse of 95 %, half axes ``2.45 sigma`` rounded up, and are gone where these are above
+    40.93 m.
+    """
+    change = 0.0 if fresh else (said.speed_mps - before.speed_mps) / figures.epoch_s
+    said.acceleration_mps2 = _rounded(min(max(change, -MOST_MPS2), MOST_MPS2), STEP_MPS2)
+    said.x_m, said.y_m = _rounded(said.x_m, STEP_M), _rounded(said.y_m, STEP_M)
+    said.heading_rad = _rounded(said.heading_rad, STEP_RAD)
+    said.speed_mps = _rounded(said.speed_mps, STEP_MPS)
+    said.pl_at_m, said.pl_ct_m = _by_ellipse(said.pl_at_m, figures), _by_ellipse(said.pl_ct_m, figures)
+
+
+@jit(borrows=True)
+def _by_ellipse(level, figures):  # type: ignore[no-untyped-def]
+    """A level after its way through the ellipse of a CAM."""
+    sigmas = ELLIPSE_SIGMAS / figures.level_sigmas
+    if not level * sigmas <= ELLIPSE_MOST_M:
+        return math.inf
+    return math.ceil(level * sigmas / ELLIPSE_STEP_M - ROUNDING) * ELLIPSE_STEP_M / sigmas
+
+
+@jit(borrows=True)
+def _asks_for_cam(cam, said):  # type: ignore[no-untyped-def]
+    """Whether a CAM is sent now, of what it would say; notes it as the last one. ETSI EN 302 637-2, 6.1.3."""
+    gap = said.time_s - cam.time_s
+    if gap < CAM_LEAST_S - ROUNDING:
+        return False
+    turn = said.heading_rad - cam.heading_rad
+    turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+    x, y, speed = said.x_m - cam.x_m, said.y_m - cam.y_m, said.speed_mps - cam.speed_mps
+    if math.hypot(x, y) > CAM_M or abs(turn) > CAM_RAD or abs(speed) > CAM_MPS:
+        cam.gap_s, cam.slow = min(gap, CAM_MOST_S), 0
+    elif gap >= cam.gap_s - ROUNDING:
+        cam.slow += 1
+        if cam.slow >= CAM_SLOW:
+            cam.gap_s = CAM_MOST_S
+    else:
+        return False
+    cam.x_m, cam.y_m, cam.heading_rad = said.x_m, said.y_m, said.heading_rad
+    cam.speed_mps, cam.time_s = said.speed_mps, said.time_s
+    return True
 
 
 @jit(borrows=True)
@@ -171,11 +262,16 @@ def hear(picture, radio, e, figures, time, claims, cars, u, lies):  # type: igno
             said.y_m -= lies[e, i, 1]
             said.pl_at_m *= lies[e, i, 3]
             said.pl_ct_m *= lies[e, i, 3]
-    if due > picture.sent:
-        picture.sent = due
+        if figures.cam != 0:
+            fresh = math.isinf(radio.cams[e, i].time_s)
+            _encode(said, radio.broadcasts[e, (epoch + slots - 1) % slots, i], figures, fresh)
+    if due > picture.sent or figures.cam != 0:
+        picture.sent = max(due, picture.sent)
         for v in range(1, cars.shape[0]):
             i = cars[v].slot
             if i < 0 or i >= count or claims[i].sends == 0:
+                continue
+            if figures.cam != 0 and not _asks_for_cam(radio.cams[e, i], radio.broadcasts[e, at, i]):
                 continue
             delay = figures.latency_s - figures.jitter_s * math.log1p(-u[i, 1])
             x, y = (cars[0].x - cars[v].x) / figures.range_m, (cars[0].y - cars[v].y) / figures.range_m
@@ -194,47 +290,24 @@ def hear(picture, radio, e, figures, time, claims, cars, u, lies):  # type: igno
 def in_sight(cars, ahead, i):  # type: ignore[no-untyped-def]
     """Whether the line from the middle of the ego to that of vehicle ``i`` crosses no third vehicle.
 
-    Exact: a line and a rectangle are apart when their shadows on an axis of the rectangle, or on the normal of the
-    line, are. ``ahead`` (V, 2) are the unit vectors of the headings.
+    ``ahead`` (V, 2) are the unit vectors of the headings.
     """
     x, y = cars[0].x, cars[0].y
     line_x, line_y = cars[i].x - x, cars[i].y - y
     for j in range(1, cars.shape[0]):
         if j == i or cars[j].slot < 0:
             continue
-        start_x, start_y = x - cars[j].x, y - cars[j].y
-        cos, sin = ahead[j, 0], ahead[j, 1]
-        along, across = cos * line_x + sin * line_y, cos * line_y - sin * line_x
-        if abs(2.0 * (cos * start_x + sin * start_y) + along) > abs(along) + cars[j].length:
-            continue
-        if abs(2.0 * (cos * start_y - sin * start_x) + across) > abs(across) + cars[j].width:
-            continue
-        twist = 2.0 * (start_x * line_y - start_y * line_x)
-        if abs(twist) <= abs(across) * cars[j].length + abs(along) * cars[j].width:
+        start_x, start_y, car = x - cars[j].x, y - cars[j].y, cars[j]
+        if crosses_body(start_x, start_y, line_x, line_y, ahead[j, 0], ahead[j, 1], car.length, car.width):
             return False
     return True
 
 
 @jit(borrows=True)
 def behind_wall(cars, walls, i):  # type: ignore[no-untyped-def]
-    """Whether the line from the middle of the ego to that of vehicle ``i`` crosses a building of ``walls`` (W, 4).
-
-    Of the line ``p + t d``, t in [0, 1], the parts between the two sides of a building along x and along y are found;
-    it crosses the building where these have more than a point in common.
-    """
+    """Whether the line from the middle of the ego to that of vehicle ``i`` crosses a building of ``walls`` (W, 4)."""
     for k in range(walls.shape[0]):
-        first, last = 0.0, 1.0
-        for axis in range(2):
-            start = cars[0].x if axis == 0 else cars[0].y
-            way = (cars[i].x if axis == 0 else cars[i].y) - start
-            low, high = walls[k, 2 * axis] - start, walls[k, 2 * axis + 1] - start
-            if way == 0.0:
-                if low >= 0.0 or high <= 0.0:
-                    last = -math.inf
-            else:
-                one, other = low / way, high / way
-                first, last = max(first, min(one, other)), min(last, max(one, other))
-        if first < last:
+        if crosses_wall(cars[0].x, cars[0].y, cars[i].x - cars[0].x, cars[i].y - cars[0].y, walls[k]):
             return True
     return False
 
@@ -307,8 +380,9 @@ def sum_up(radio, tracks, slots, e, figures, time, b, square, seen):  # type: ig
             source, age = radio.held[e, slot], heard_s
         if not age <= figures.drop_after_s + ROUNDING:
             continue
-        x = source.x_m + source.speed_mps * age * math.cos(source.heading_rad)
-        y = source.y_m + source.speed_mps * age * math.sin(source.heading_rad)
+        driven = source.speed_mps * age + 0.5 * source.acceleration_mps2 * age * age
+        x = source.x_m + driven * math.cos(source.heading_rad)
+        y = source.y_m + driven * math.sin(source.heading_rad)
         distance2 = (x - b.x_m) ** 2 + (y - b.y_m) ** 2
         at = count
         while at > 0 and square[at - 1] > distance2:
@@ -320,7 +394,7 @@ def sum_up(radio, tracks, slots, e, figures, time, b, square, seen):  # type: ig
         row.pl_at_m = source.pl_at_m + 0.5 * figures.along_mps2 * age * age
         growth = (0.5 * figures.across_mps2 * age + figures.course_sin * abs(source.speed_mps)) * age
         row.pl_ct_m = source.pl_ct_m + growth
-        row.age_s, row.relative, row.key = age, 1 if sensed else 0, slots[slot].key
+        row.age_s, row.relative, row.key = age + source.lag_s, 1 if sensed else 0, slots[slot].key
         row.length_m, row.width_m = slots[slot].length_m, slots[slot].width_m
         count += 1
     return count

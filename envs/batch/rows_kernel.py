@@ -13,6 +13,7 @@ import numpy as np
 from lanebound.envs.batch.belief_kernel import begin, coast, locate, settle, take, take_given, trust_anew
 from lanebound.envs.batch.budget_kernel import budget_limits, permitted_mps
 from lanebound.envs.batch.closure_kernel import place_closure, receive
+from lanebound.envs.batch.cooperative_kernel import relate
 from lanebound.envs.batch.costs_kernel import TOLERANCE_MPS, begin_corridor, follow_corridor
 from lanebound.envs.batch.lane_sensor_kernel import body_of, look_at_lane, match, open_eye
 from lanebound.envs.batch.motion_kernel import advance, fill_motion, fill_whereabouts, follow_motion
@@ -23,10 +24,13 @@ from lanebound.envs.batch.sky_ahead_kernel import fill_sky, predict
 from lanebound.envs.batch.toll_kernel import follow_toll
 from lanebound.envs.batch.view_kernel import ORACLE, derive, fill_frame, true_view, words_of
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.sensors.uwb_kernel import range_all
 
 __all__ = ["approach_step", "begin_rows", "carry_on", "carry_rows", "claim_rows", "conclude_rows", "count_rows",
-           "end_epoch", "give_rows", "hear_rows", "look_rows", "open_rows", "receive_rows", "sky_rows", "sum_up_rows",
-           "take_rows"]  # fmt: skip
+           "end_epoch", "give_rows", "hear_rows", "look_rows", "open_rows", "range_rows", "receive_rows", "relate_rows",
+           "sky_rows", "sum_up_rows", "take_rows"]  # fmt: skip
+
+EPS_S = 1e-9
 
 
 # After a simulation step
@@ -179,6 +183,38 @@ def look_rows(first, last, rows, cars, egos, pictures, noise):  # type: ignore[n
         e = rows[n]
         here = cars[e, : egos[e].vehicles]
         look(p.picture[e], p.tracks[e], p.of_sensor[0], egos[e].belief, here, noise[n], ahead, p.walls)
+
+
+@jit
+def range_rows(first, last, rows, cars, egos, pictures, normal, uniform, time):  # type: ignore[no-untyped-def]
+    """One epoch of ranges; normal (n, C + 1, PAIRS) and uniform (n, C + 1, 2 PAIRS): draws.
+
+    None before an episode: what is heard then comes from an approach, on which ``cars`` are not.
+    """
+    ahead, scratch, p = np.empty((cars.shape[1], 2)), np.empty((10, 2)), pictures
+    for n in range(first, last):
+        e = rows[n]
+        here, g, epoch = cars[e, : egos[e].vehicles], p.ranging, p.picture[e].epoch
+        turns = g.of_ranges[0].epoch_s * g.of_ranges[0].rate_hz
+        if time[n] < -EPS_S or math.floor(epoch * turns + EPS_S) == math.floor((epoch - 1) * turns + EPS_S):
+            g.ranges[e] = -1.0
+            continue
+        range_all(
+            g.of_ranges[0], here, g.modules[e], g.links[e], p.walls, normal[n], uniform[n], ahead, scratch, g.ranges[e]
+        )  # fmt: skip
+
+
+@jit(borrows=True)
+def relate_rows(first, last, rows, egos, pictures, time):  # type: ignore[no-untyped-def]
+    """One epoch of positions by ranges and broadcasts, by what the egos know alone."""
+    p, g = pictures, pictures.ranging
+    for n in range(first, last):
+        e = rows[n]
+        if time[n] >= -EPS_S:
+            relate(
+                p.picture[e], g.relations[e], p.radio.held[e], p.tracks[e], g.ranges[e], g.of_ranges[0],
+                g.of_relations[0], p.of_tracks[0], time[n], egos[e].belief, egos[e].track,
+            )  # fmt: skip
 
 
 @jit

@@ -339,7 +339,7 @@ def _vehicle(c: ObservationConfig, row: int) -> list[Entry]:
         g.positive(p + "length", "m", c.length_max_m, "length of the vehicle", f"{v}.length_m"),
         g.positive(p + "width", "m", c.width_max_m, "width of the vehicle", f"{v}.width_m"),
         g.positive(p + "age", "s", c.age_max_s, "age of the measurement", f"{v}.age_s"),
-        g.flag(p + "sensor", "1: perceived by the sensor of the car; 0: by broadcasts", f"{v}.sensor"),
+        g.flag(p + "sensor", "1: perceived by a sensor or by ranges of the car; 0: by broadcasts", f"{v}.sensor"),
         g.flag(p + "pl_exists", "the two protection levels below exist", f"{v}.pl_exists"),
         g.positive(p + "pl_at", "m", 2.0 * c.pl_max_m, f"along the heading of the car: {text}; 1 when missing",
                    f"{v}.pl_at_m"),

@@ -5,6 +5,8 @@ The channel is :mod:`lanebound.envs.batch.perception_kernel`: it needs the vehic
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from lanebound.integrity.core.config import Config
@@ -15,6 +17,11 @@ __all__ = ["V2vConfig"]
 class V2vConfig(Config):
     """The radio channel of one street."""
 
+    messages: Literal["rate", "cam"] = Field(
+        "rate",
+        description="at rate_hz, or cooperative awareness messages as ETSI EN 302 637-2 asks for them: after 4 m, "
+        "4 deg or 0.5 m/s, and after 1 s at the latest, rounded, with an ellipse of 95 % and the acceleration",
+    )
     rate_hz: float = Field(
         10.0, gt=0, description="messages of a vehicle per second; SAE J2735 BSM, ETSI CAM up to 10 Hz"
     )

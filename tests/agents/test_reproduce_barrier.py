@@ -221,3 +221,14 @@ def test_who_also_looks_is_not_led_astray_by_a_leader_that_lies(tmp_path):
 
 def _points(x: float) -> Any:
     return np.array([[x, 0.0]])
+
+
+def test_lying_leaders_alone_are_driven_behind_and_excluded_by_ranges(tmp_path):
+    config = QUICK.replace(episodes=30, batch=30, length_s=10.0, kind="v2v_lie", source="cooperative")
+    lying = [seed for seed in range(12000, 12030) if config.one_fault(seed).kind == "v2v_lie"]
+    result = run_promise(config, tmp_path / "out")
+    assert result["one fault"]["episodes"] == len(lying) > 0
+    assert [*result["one fault"]["by_fault"]] == ["v2v_lie"]
+    liars = result["one fault"]["liars"]
+    assert 0 < liars["excluded"] <= liars["lying"] <= len(lying)
+    assert result["none"]["excluded_seeds"] == []

@@ -31,6 +31,10 @@ SEQUENTIAL: dict[str, Any] = {"navigator": {"positioning": {"rtk": {"float_solut
 NEAR: dict[str, Any] = {"navigator": {"gnss": {"near_objects": {"kind": "vehicle"}}}}
 CARRIERS: dict[str, Any] = {"navigator": {"positioning": {"doppler": {"carriers": True}}}}
 BUDGET: dict[str, Any] = {"alert_limit": "budget"}
+COOPERATIVE: dict[str, Any] = {"perception": {"source": "cooperative", "wrong_share": 0.5}}
+CAM: dict[str, Any] = {
+    "perception": {"source": "cooperative", "v2v": {"messages": "cam"}, "drop_after_s": 1.5, "sensor": {"corner_m": 12}}
+}
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
 CASES: list[tuple[str, dict[str, Any], int]] = [
     ("LaneKeeping", {"sky": "dense", "cities": {"count": 2}}, 25),
@@ -55,6 +59,9 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Roundabout", {"sky": "open", "cities": {"count": 1}, **SENSOR, "observation": {"integrity": "oracle"}}, 6),
     ("Intersection", {"sky": "open", "cities": {"count": 1}}, 14),
     ("Intersection", {"sky": "open", "cities": {"count": 1}, **TRUTH}, 8),
+    ("Highway", {**FEW, **COOPERATIVE}, 8),
+    ("UrbanCanyon", {**CITY, **COOPERATIVE}, 6),
+    ("Intersection", {"sky": "open", "cities": {"count": 1}, **CAM}, 14),
     ("Highway", {**FEW, **SURROGATE}, 10),
     ("Highway", {**FEW, **BUDGET}, 8),
     ("CarFollowing", {"sky": "urban", "cities": {"count": 1}, **BUDGET}, 15),
