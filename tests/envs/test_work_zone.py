@@ -50,7 +50,7 @@ def closing(closure: Closure = CLOSED, radio: V2vConfig = CLEAR, seed: int = 1, 
 
 def radio_of(config: V2vConfig) -> Any:
     figures: dict[str, Any] = {name: getattr(config, name) for name in RADIO.names or () if hasattr(config, name)}
-    return one_record(RADIO, epoch_s=0.1, cam=config.messages == "cam", **figures)[0]
+    return one_record(RADIO, epoch_s=0.1, cam=config.messages == "cam", level_sigmas=1.0, **figures)[0]
 
 
 def car_at(side: int, station: float) -> Any:
