@@ -34,6 +34,7 @@ from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.positioning.cooperative.joint_filter import JointFilterConfig
 from lanebound.integrity.positioning.cooperative.particles import Ranges
+from lanebound.integrity.sensors.uwb import RangingConfig
 from lanebound.integrity.sky.raytrace import first_hits
 from lanebound.integrity.sky.scene import City
 
@@ -57,18 +58,6 @@ REFLECTIONS_M = {"open": (0.0, 0.0), "suburban": (0.2, 0.4), "urban": (0.7, 1.6)
 """Declared multipath: RMS of codes from 36 dB-Hz on, and of all codes, in simulated streets of seed 101
 (``CodeErrorBudget``). Estimators use codes of the first kind and weigh them so; levels and tests count on the second.
 """
-
-
-class UwbLinksConfig(Config):
-    """UWB modules of vehicles and units; a line that a building crosses gives no range."""
-
-    sigma_m: float = Field(0.023, gt=0, description="noise, 1 sigma [m]; data sheet of the P412, table 1")
-    offset_m: float = Field(0.021, ge=0, description="constant error of a pair, 1 sigma [m]; the same")
-    range_m: float = Field(91.4, gt=0, description="farthest range [m]; 300 ft in the same table")
-    loss: float = Field(0.05, ge=0, le=1, description="share of ranges lost [-]")
-    late: float = Field(0.05, ge=0, lt=1, description="share of ranges by a later path [-]; indoors as large")
-    late_m: float = Field(0.3, ge=0, description="mean of their exponential excess [m]; above that indoors")
-    declared_m: float = Field(0.1, gt=0, description="declared 1 sigma of a range [m]; noise, offset and excess")
 
 
 class CooperativeStudyConfig(Config):
@@ -95,7 +84,10 @@ class CooperativeStudyConfig(Config):
     link_m: float = Field(300.0, gt=0, description="radio range within which codes are shared [m]")
     lie_m: tuple[float, float] = Field((2.0, 20.0), description="range of a lie, in any horizontal direction [m]")
     street_m: float = Field(1200.0, ge=500, le=20_000, description="length of a street [m]")
-    uwb: UwbLinksConfig = Field(UwbLinksConfig(), description="ranges")
+    ranging: RangingConfig = Field(
+        RangingConfig(range_m=91.4, late_mean_m=0.3), description="ranges between nodes, each with one module"
+    )
+    range_sigma_m: float = Field(0.1, gt=0, description="declared 1 sigma of a range [m]; noise, offset and excess")
     first_seed: int = Field(1901, ge=0, description="of the drives; nothing was fitted there")
 
     @model_validator(mode="after")
@@ -149,7 +141,7 @@ def moments(config: CooperativeStudyConfig, sky: str, number: int, uwb: bool) ->
     places, headings = road.pose_at(arcs, road.lane_lateral_m(lanes) + BESIDE_M)
     nodes, still = config.vehicles + len(arcs), np.zeros((len(arcs), 2))
     pairs = np.array([(i, j) for i in range(nodes) for j in range(i) if j < config.vehicles], np.int64)
-    links = _Links(config.uwb, city, pairs, rng)
+    links = _Links(config, city, pairs, rng)
     seeds = named_generator([config.first_seed, number], "fleet").integers(2**32, size=config.vehicles)
     traffic = Streams([int(seed) for seed in seeds])
     car = CityDrive(road, drives.drive, navigator.config.dt_s)
@@ -166,26 +158,28 @@ def moments(config: CooperativeStudyConfig, sky: str, number: int, uwb: bool) ->
 
 
 class _Links:
-    """UWB links between pairs of nodes, with constant errors of the drive."""
+    """Links of the modules of pairs of nodes: a line that a building crosses gives no range."""
 
-    def __init__(self, config: UwbLinksConfig, city: City, pairs: Ints, rng: np.random.Generator) -> None:
-        self.config, self.city, self.pairs, self.rng = config, city, pairs, rng
-        self.offset = config.offset_m * rng.standard_normal(len(pairs))
+    def __init__(self, config: CooperativeStudyConfig, city: City, pairs: Ints, rng: np.random.Generator) -> None:
+        self.law, self.declared_m = config.ranging.figures(FleetConfig().epoch_s)[0], config.range_sigma_m
+        self.city, self.pairs, self.rng = city, pairs, rng
+        self.offset = np.sqrt(2.0) * self.law["module_sigma_m"] * rng.standard_normal(len(pairs))  # of two modules
         nothing = np.empty(0)
         self.none = Ranges(np.empty((0, 2), np.int64), nothing, nothing)
 
     def measure(self, place_m: Array) -> Ranges:
         """Ranges at positions (N, 3): of pairs near each other without a building between them."""
-        c, rng, count = self.config, self.rng, len(self.pairs)
+        law, rng, count = self.law, self.rng, len(self.pairs)
         lifted = place_m + np.array([0.0, 0.0, MODULE_M])
         start, way = lifted[self.pairs[:, 1]], place_m[self.pairs[:, 0]] - place_m[self.pairs[:, 1]]
-        distance, kept = np.linalg.norm(way, axis=-1), rng.random(count) >= c.loss
-        late = np.where(rng.random(count) < c.late, rng.exponential(c.late_m, count), 0.0)
-        measured = np.maximum(distance + self.offset + late + c.sigma_m * rng.standard_normal(count), 0.0)
-        kept &= (distance < c.range_m) & (distance > MODULE_M)
+        distance, kept = np.linalg.norm(way, axis=-1), rng.random(count) >= law["loss"]
+        late = np.where(rng.random(count) < law["late_share"], rng.exponential(law["late_mean_m"], count), 0.0)
+        measured = np.maximum(distance + self.offset + late + law["sigma_m"] * rng.standard_normal(count), 0.0)
+        kept &= (distance < law["range_m"]) & (distance > MODULE_M)
         if kept.any() and len(self.city):
             kept[kept] = first_hits(self.city.grid, start[kept], way[kept]).t >= 1.0
-        return Ranges(self.pairs[kept], measured[kept], np.full(int(kept.sum()), c.declared_m), c.late, c.late_m)
+        sigma_m = np.full(int(kept.sum()), self.declared_m)
+        return Ranges(self.pairs[kept], measured[kept], sigma_m, float(law["late_share"]), float(law["late_mean_m"]))
 
 
 def work_drive(config: CooperativeStudyConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:

@@ -22,7 +22,13 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.positioning.cooperative.exclusion import ExclusionConfig, NodeBank
 from lanebound.integrity.positioning.cooperative.factors import Factors
-from lanebound.integrity.positioning.cooperative.joint_filter import Codes, JointFilter, JointFilterConfig, JointState
+from lanebound.integrity.positioning.cooperative.joint_filter import (
+    MOVING_MPS,
+    Codes,
+    JointFilter,
+    JointFilterConfig,
+    JointState,
+)
 from lanebound.integrity.positioning.cooperative.network import Local, Network, NetworkBelief, NetworkConfig
 from lanebound.integrity.positioning.cooperative.particles import Ranges
 from lanebound.integrity.positioning.cooperative.shared_codes import double_differences
@@ -167,7 +173,9 @@ class Fleet:
 
     def _factors(self, los: Array, codes: Codes, used: Bools, pairs: Ints) -> Factors:
         """Double differences of pairs of which one at least is a vehicle: units know where they are."""
-        moving = np.concatenate([self._local.speed_mps[:, 0] > 1.0, np.zeros(len(self.places_m), np.bool_)])[:, None]
+        moving = np.concatenate([self._local.speed_mps[:, 0] > MOVING_MPS, np.zeros(len(self.places_m), np.bool_)])[
+            :, None
+        ]
         _, white, lasting = self._joint.errors(los, codes.cn0_dbhz, moving)
         return double_differences(
             pairs[(pairs < self.vehicles).any(-1)], los, codes.code_m, white, used, self.system, lasting

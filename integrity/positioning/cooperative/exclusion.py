@@ -10,10 +10,11 @@ McBurney 1988)::
 
 Of the hypotheses whose separation exceeds its threshold, that one is taken as true under which the remaining
 measurements fit best: separations say that there is a fault, not whose. What it leaves out stays out. That may be the
-wrong node, so the filters of the other hypotheses begin anew from what each vehicle knows alone, which no other node
-has told it. A node is left out, too, whose codes alone say for some epochs that it is
-elsewhere (:meth:`~.joint_filter.JointFilter.shifts`): the gate that takes the codes of a jump away also hides it from
-separations. One fault at a time is searched for; what the prior leaves for two is taken off the risk.
+wrong node, so the filters of the other hypotheses begin anew from what each vehicle knows alone, without any other
+node. Their separations then have another history, and ``T_k = K_fa (sqrt(P_k) + sqrt(P))``. A node is left out, too,
+whose codes alone show for some epochs that it is elsewhere (:meth:`~.joint_filter.JointFilter.shifts`): the gate that
+leaves out the codes of a jump also hides it from separations. One fault at a time is searched for; what the prior
+leaves for two is taken off the risk.
 """
 
 from __future__ import annotations
@@ -177,7 +178,7 @@ class NodeBank:
         known = {(found.node, found.what) for found in self.excluded}
         for k, (node, kind) in enumerate(hypotheses):
             if (node, kind) in known or (node, "node") in known:
-                faulty[k] = 0.0
+                faulty[k] = 0.0  # what it supposes wrong is in no filter any more
             elif kind == "node" and node < self.joint.vehicles:
                 faulty[k, node] = 0.0
         return np.asarray(np.maximum(free, faulty.max(0)))

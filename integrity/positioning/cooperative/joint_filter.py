@@ -35,7 +35,7 @@ from lanebound.integrity.positioning.cooperative.factors import line_between
 from lanebound.integrity.positioning.cooperative.shared_codes import clock_free
 from lanebound.integrity.positioning.correlation import bound_correlation
 
-__all__ = ["Codes", "JointFilter", "JointFilterConfig", "JointState"]
+__all__ = ["MOVING_MPS", "Codes", "JointFilter", "JointFilterConfig", "JointState"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -125,7 +125,7 @@ class JointFilter:
         epoch_s: float = 1.0,
         shared: bool = True,
     ) -> None:
-        self.config, self.vehicles, self.system, self.epoch_s, self.shared = config, vehicles, system, epoch_s, shared
+        self.config, self.vehicles, self.system, self.epoch_s = config, vehicles, system, epoch_s
         self.places_m = np.empty((0, 3)) if places_m is None else places_m
         sats, first = len(system), OWN * vehicles
         self._common = slice(first, first + COMMON)

@@ -4,7 +4,7 @@ As in S2 Figure 1 each vehicle first has a position of its own (local level: INS
 node is its last one, moved by dead reckoning, met by its local position, and updated by the factors of the epoch. The
 local position stems from the same history as the belief: they are fused by covariance intersection, and errors of dead
 reckoning may be correlated with those of the belief. Local positions have the errors of satellites in common. ``mdpc``
-and ``split`` allow for that; SPAWN in its three forms takes beliefs as independent, and is too sure of itself.
+and ``split`` allow for that; SPAWN in its three forms takes beliefs as independent: its covariances are too small.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class NetworkConfig(Config):
 
     estimator: Literal["spawn", "md_spawn", "mdpc", "gaussian", "split"] = Field(
         "split",
-        description="SPAWN and MD-SPAWN with particles, centralised MDPC, SPAWN with Gaussian messages, or messages "
-        "that keep rumours apart",
+        description="SPAWN and MD-SPAWN with particles, centralised MDPC, SPAWN with Gaussian messages, or split "
+        "covariance intersection",
     )
     particles: int = Field(500, ge=10, le=1_000_000, description="of a node; of MDPC, of the fleet")
     rounds: int = Field(3, ge=1, le=100, description="rounds of Gaussian messages in an epoch")

@@ -9,7 +9,6 @@ import pytest
 
 from lanebound.agents.studies.cooperative import (
     CooperativeStudyConfig,
-    UwbLinksConfig,
     error_rows,
     level_rows,
     moments,
@@ -61,7 +60,7 @@ def test_ranges_have_the_errors_of_their_law():
         true = np.linalg.norm(place[r.ends[:, 0]] - place[r.ends[:, 1]], axis=-1)
         found.extend(r.range_m - true)
         lost += not any((r.ends == [1, 0]).all(-1))
-        assert (true < config.uwb.range_m).all()
+        assert (true < config.ranging.range_m).all()
     error = np.array(found)
     assert np.median(error) == pytest.approx(0.0, abs=0.02)  # six sigma of the median of 100 and more
     assert 1.4826 * np.median(np.abs(error - np.median(error))) == pytest.approx(np.hypot(0.023, 0.021), rel=0.4)
@@ -71,7 +70,7 @@ def test_ranges_have_the_errors_of_their_law():
 
 
 def test_nobody_ranges_beyond_reach():
-    config = CooperativeStudyConfig(skies=("open",), uwb=UwbLinksConfig(range_m=5.0).to_dict())
+    config = CooperativeStudyConfig(skies=("open",), ranging={"range_m": 5.0})
     for number in range(6):
         moment = next(moments(config, "open", number, True))
         ends, place = moment.ranges.ends, moment.truth.position_enu_m

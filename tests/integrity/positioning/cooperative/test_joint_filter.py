@@ -202,9 +202,7 @@ def test_all_estimators_run_with_codes_and_ranges():
     truth, placed = found[-1]
     assert set(placed) == {"local", *names}
     for name in names:
-        # SPAWN's particles are those of the prior, too few of them near what ranges of decimetres say.
-        bound = 5.0 if name == "spawn" else 1.5
-        assert np.linalg.norm((placed[name].position_m - truth)[:, :2], axis=-1).max() < bound, name
+        assert np.linalg.norm((placed[name].position_m - truth)[:, :2], axis=-1).max() < 1.5, name
 
 
 def test_measurements_must_fit_the_fleet():
